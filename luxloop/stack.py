@@ -1,0 +1,68 @@
+"""The words for a thin-film stack: media, layers, and the sentence they form.
+
+    inside | layer | layer | ... | outside
+
+A stack is listed from the bulk outwards (for the chip: GaN, DBR layers, air). Every medium owns its outward face:
+`Layer.roughness_nm` is the rms height of the face between that layer and the next medium outwards, and
+`Stack.inside_roughness_nm` that of the bulk's. Optical constants are n + ik with time factor exp(-i omega t).
+"""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field, model_validator
+
+from luxloop.errors import InputError
+from luxloop.words import Words
+
+MAX_LAYERS = 400
+
+Thickness = Annotated[float, Field(ge=0.0, le=1e9)]
+Roughness = Annotated[float, Field(ge=0.0, le=100.0)]
+
+
+class Medium(Words):
+    """One optical medium: a named material with dispersion, or a fixed index n + ik."""
+
+    material: str | None = Field(None, max_length=64)
+    n: float | None = Field(None, gt=0.0, le=20.0)
+    k: float = Field(0.0, ge=0.0, le=50.0)
+
+    @model_validator(mode="after")
+    def _one_way_to_say_it(self) -> Medium:
+        if (self.material is None) == (self.n is None):
+            raise InputError("n", self.n, "either a material name or an index n", "give exactly one of the two")
+        if self.material is not None and self.k:
+            raise InputError("k", self.k, "0 beside a material name", "the material's own table gives k")
+        return self
+
+    def __str__(self) -> str:
+        if self.material is not None:
+            return self.material
+        return f"{self.n:g}" + (f"+{self.k:g}i" if self.k else "")
+
+
+class Layer(Words):
+    """A medium with a thickness; `coherent = False` adds powers, not amplitudes, across it (a thick substrate)."""
+
+    medium: Medium
+    thickness_nm: Thickness
+    roughness_nm: Roughness = 0.0
+    coherent: bool = True
+
+    def __str__(self) -> str:
+        rough = f" ~{self.roughness_nm:g}" if self.roughness_nm else ""
+        return f"{self.medium}({self.thickness_nm:g} nm{rough}{'' if self.coherent else ', incoherent'})"
+
+
+class Stack(Words):
+    """What light meets between two half spaces, from the bulk outwards."""
+
+    inside: Medium
+    layers: tuple[Layer, ...] = Field((), max_length=MAX_LAYERS)
+    outside: Medium
+    inside_roughness_nm: Roughness = 0.0
+
+    def __str__(self) -> str:
+        return " | ".join([str(self.inside), *map(str, self.layers), str(self.outside)])

@@ -1,0 +1,61 @@
+"""What every message and file model of luxloop has in common: frozen, unknown keys refused, finite, hashable.
+
+`canonical` is the one text form that is hashed: JSON with sorted keys, no blanks, no NaN. Task ids, content hashes
+and version hashes all come from it, so the same inputs have the same name on every machine.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from luxloop.errors import InputError
+
+Model = TypeVar("Model", bound=BaseModel)
+
+
+class Words(BaseModel):
+    """Base of everything that is written to a file or sent: frozen, strict about keys, no NaN or infinity."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, validate_default=True)
+
+
+def canonical(value: BaseModel | Mapping[str, Any] | list[Any] | tuple[Any, ...]) -> bytes:
+    """The one text form that is hashed: UTF-8 JSON, keys sorted, no blanks, floats by shortest repr."""
+    plain = value.model_dump(mode="json") if isinstance(value, BaseModel) else value
+    return json.dumps(plain, sort_keys=True, separators=(",", ":"), allow_nan=False, ensure_ascii=False).encode()
+
+
+def sha256_of(value: BaseModel | Mapping[str, Any] | list[Any] | tuple[Any, ...]) -> str:
+    """SHA-256 of the canonical form, 64 hex digits."""
+    return hashlib.sha256(canonical(value)).hexdigest()
+
+
+def parse(model: type[Model], data: object, where: str = "") -> Model:
+    """`data` as a `model`, or an `InputError` naming the first wrong field with its path, value and range.
+
+    `where` says where the data came from (a file name, a message), and leads the field path.
+    """
+    try:
+        return model.model_validate(data)
+    except ValidationError as error:
+        raise as_input_error(error, where) from error
+
+
+def as_input_error(error: ValidationError, where: str = "") -> InputError:
+    """A pydantic `ValidationError` as the project's own: the first wrong field, how many more there are."""
+    first, *others = error.errors()
+    path = ".".join(str(part) for part in first["loc"]) or "(whole)"
+    context = first.get("ctx", {}).get("error")
+    if isinstance(context, InputError):
+        inner = path if context.field in path else f"{path}.{context.field}" if path != "(whole)" else context.field
+        return InputError(f"{where}: {inner}" if where else inner, context.value, context.allowed, context.mend)
+    mend = "remove it, or look for the right spelling" if first["type"] == "extra_forbidden" else ""
+    if others:
+        mend = f"{mend}; {len(others)} more wrong" if mend else f"{len(others)} more wrong"
+    allowed = first["msg"].removeprefix("Input should be ").removeprefix("Value error, ")
+    return InputError(f"{where}: {path}" if where else path, first["input"], allowed, mend)

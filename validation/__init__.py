@@ -1,0 +1,1 @@
+"""Measurements against the model: the model file, comparison, diagnosis."""

@@ -1,0 +1,1 @@
+"""Every picture: result documents in, pictures out; asks nobody."""
