@@ -27,7 +27,19 @@ class Words(BaseModel):
 def canonical(value: BaseModel | Mapping[str, Any] | list[Any] | tuple[Any, ...]) -> bytes:
     """The one text form that is hashed: UTF-8 JSON, keys sorted, no blanks, floats by shortest repr."""
     plain = value.model_dump(mode="json") if isinstance(value, BaseModel) else value
-    return json.dumps(plain, sort_keys=True, separators=(",", ":"), allow_nan=False, ensure_ascii=False).encode()
+    text = json.dumps(plain, sort_keys=True, separators=(",", ":"), allow_nan=False, ensure_ascii=False)
+    if "-0.0" in text:
+        text = json.dumps(_without_minus_zero(plain), sort_keys=True, separators=(",", ":"), ensure_ascii=False)
+    return text.encode()
+
+
+def _without_minus_zero(value: Any) -> Any:
+    """The same with 0.0 for -0.0: the two are equal, so they must have one text."""
+    if isinstance(value, dict):
+        return {key: _without_minus_zero(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_without_minus_zero(item) for item in value]
+    return 0.0 if isinstance(value, float) and value == 0.0 else value
 
 
 def sha256_of(value: BaseModel | Mapping[str, Any] | list[Any] | tuple[Any, ...]) -> str:
@@ -52,7 +64,8 @@ def as_input_error(error: ValidationError, where: str = "") -> InputError:
     path = ".".join(str(part) for part in first["loc"]) or "(whole)"
     context = first.get("ctx", {}).get("error")
     if isinstance(context, InputError):
-        inner = path if context.field in path else f"{path}.{context.field}" if path != "(whole)" else context.field
+        named = path.rpartition(".")[2] == context.field
+        inner = context.field if path == "(whole)" else path if named else f"{path}.{context.field}"
         return InputError(f"{where}: {inner}" if where else inner, context.value, context.allowed, context.mend)
     mend = "remove it, or look for the right spelling" if first["type"] == "extra_forbidden" else ""
     if others:

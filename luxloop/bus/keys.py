@@ -1,0 +1,61 @@
+"""The one table of keys: which message travels where, who answers, whether it is journalled, how long it may take.
+
+All keys lie under `<realm>/<schema>/`; the realm separates two sets on one router.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from luxloop import messages as m
+from luxloop.words import Words
+
+Role = Literal["controller", "worker", "anybody"]
+
+HOLD_S = 20.0  # how long the controller holds a query open; then it answers Pending or Nothing
+SHORT_S = 5.0  # a query that is answered at once
+
+
+@dataclass(frozen=True)
+class Key:
+    """One row: the key's pattern, what is asked or told, what comes back, by whom, and the limits."""
+
+    pattern: str
+    message: type[Words]
+    reply: type[Words] | None
+    answered_by: Role
+    time_limit_s: float
+    journalled: bool
+
+
+KEYS: dict[str, Key] = {
+    "submit": Key("submit/{kind}", m.Submit, m.Outcome, "controller", HOLD_S + 5.0, True),
+    "withdraw": Key("withdraw", m.Withdraw, m.Receipt, "controller", SHORT_S, True),
+    "status": Key("status", m.StatusAsked, m.Status, "controller", SHORT_S, False),
+    "hello": Key("hello/{kind}", m.Hello, m.Welcome, "controller", SHORT_S, True),
+    "pull": Key("pull/{kind}", m.Pull, m.Lease, "controller", HOLD_S + 5.0, True),
+    "done": Key("done/{kind}", m.Done, m.Receipt, "controller", SHORT_S, True),
+    "heartbeat": Key("heartbeat/{kind}/{worker}", m.Heartbeat, None, "controller", SHORT_S, False),
+    "cancel": Key("cancel/{kind}/{worker}", m.Cancel, None, "worker", SHORT_S, False),
+    "blob": Key("blob/{sha256}", m.BlobAsked, m.BlobPiece, "anybody", SHORT_S, False),
+    "alive": Key("alive/{role}/{kind}/{name}", m.Nothing, None, "anybody", SHORT_S, False),
+}
+
+
+def at(realm: str, row: str, /, **parts: str) -> str:
+    """The full key of a row; a part that is left out becomes the wildcard `*`."""
+    pattern = KEYS[row].pattern
+    for part in ("kind", "worker", "sha256", "role", "name"):
+        pattern = pattern.replace("{" + part + "}", parts.get(part, "*"))
+    return f"{realm}/{m.SCHEMA}/{pattern}"
+
+
+def name_of(key: str) -> str:
+    """The row's name of a full key."""
+    return key.split("/")[2]
+
+
+def last_part(key: str) -> str:
+    """The last part of a key: a worker's name, a blob's hash."""
+    return key.rsplit("/", 1)[-1]

@@ -1,0 +1,229 @@
+"""The bus over eclipse-zenoh: the only place that imports it.
+
+What zenoh does not do, and is done here: say why there was no answer (it ends the iterator alike for a dead worker,
+an exception in a callback, an ACL's refusal and nobody there), bound what arrives, and let a process end (a session
+that is not closed keeps the interpreter alive). One session per process, opened after the process has started.
+"""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+from collections.abc import Callable
+from contextlib import nullcontext
+from types import TracebackType
+from typing import Any
+
+import zenoh
+
+from luxloop.bus import Asked, Heard, Inbox, Interrupt, Presence, busy, too_large
+from luxloop.bus.frame import FRAME_BYTES
+from luxloop.bus.keys import KEYS, at, name_of
+from luxloop.errors import RemoteError
+from luxloop.messages import Code, Failure
+from luxloop.settings import Settings
+
+LEASE_MS = 4000
+RECEIVE_BYTES = 4 * FRAME_BYTES  # above what any frame may have, so that a too large one gets a clear answer
+
+
+class ZenohBus:
+    """A zenoh session as a `Bus`. `patient` waits for a router for ever (workers); else `no_router` in 3 s."""
+
+    def __init__(self, settings: Settings, *, patient: bool = False) -> None:
+        self._settings = settings
+        self._session = _open(_client_config(settings, patient), settings)
+        self._kept: list[Any] = []
+        self._closed = False
+
+    def ask(self, key: str, frame: bytes, timeout_s: float, cancelled: Interrupt | None = None) -> bytes:
+        token = zenoh.CancellationToken()
+        begin = time.monotonic()
+        try:
+            replies = self._session.get(
+                key,
+                payload=frame,
+                timeout=timeout_s,
+                cancellation_token=token,
+                consolidation=zenoh.ConsolidationMode.NONE,
+                congestion_control=zenoh.CongestionControl.BLOCK,
+            )
+            with cancelled.ends(token.cancel) if cancelled is not None else nullcontext():
+                reply = next(iter(replies), None)
+        except zenoh.ZError as error:
+            raise RemoteError(Failure(code="cancelled", message=f"the session is closed: {error}")) from error
+        if reply is not None and reply.ok is not None:
+            return reply.ok.payload.to_bytes()
+        if reply is not None and reply.err is not None:
+            text = reply.err.payload.to_bytes()
+            if text != b"Timeout":
+                return text
+        if cancelled is not None and cancelled.is_set():
+            raise RemoteError(Failure(code="cancelled", message="the question was withdrawn", where=key))
+        raise RemoteError(self._why_nothing(key, time.monotonic() - begin, timeout_s, timed_out=reply is not None))
+
+    def answer(self, key_expr: str, inbox: Inbox) -> None:
+        def on_query(query: zenoh.Query) -> None:
+            key = str(query.key_expr)
+            data = query.payload.to_bytes() if query.payload is not None else b""
+            answer = _answerer(query, key)
+            if len(data) > FRAME_BYTES:
+                answer(too_large(len(data), FRAME_BYTES, key))
+            elif not inbox.offer(Asked(key, data, answer, query.drop)):
+                answer(busy(key))
+
+        self._kept.append(
+            self._session.declare_queryable(key_expr, zenoh.handlers.Callback(on_query, indirect=False))
+        )
+
+    def publish(self, key: str, frame: bytes) -> None:
+        self._session.put(key, frame, congestion_control=zenoh.CongestionControl.DROP)
+
+    def subscribe(self, key_expr: str, inbox: Inbox) -> None:
+        def on_sample(sample: zenoh.Sample) -> None:
+            data = sample.payload.to_bytes()
+            if len(data) <= FRAME_BYTES:
+                inbox.offer(Heard(str(sample.key_expr), data))
+
+        self._kept.append(
+            self._session.declare_subscriber(key_expr, zenoh.handlers.Callback(on_sample, indirect=False))
+        )
+
+    def announce(self, key: str) -> None:
+        self._kept.append(self._session.liveliness().declare_token(key))
+
+    def present(self, key_expr: str) -> frozenset[str]:
+        replies = self._session.liveliness().get(key_expr, timeout=2.0)
+        return frozenset(str(reply.ok.key_expr) for reply in replies if reply.ok is not None)
+
+    def watch(self, key_expr: str, inbox: Inbox) -> None:
+        def on_change(sample: zenoh.Sample) -> None:
+            inbox.offer(Presence(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT))
+
+        self._kept.append(
+            self._session.liveliness().declare_subscriber(
+                key_expr, zenoh.handlers.Callback(on_change, indirect=False), history=True
+            )
+        )
+
+    def connected(self) -> bool:
+        """Whether a router is reached at this moment."""
+        return bool(self._session.info.routers_zid())
+
+    def close(self) -> None:
+        """Close under a deadline: under packet loss zenoh's own close may block for 10 s."""
+        if self._closed:
+            return
+        self._closed = True
+        closer = threading.Thread(target=self._session.close, daemon=True)
+        closer.start()
+        closer.join(3.0)
+
+    def __enter__(self) -> ZenohBus:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _why_nothing(self, key: str, took_s: float, limit_s: float, *, timed_out: bool) -> Failure:
+        """The likeliest reason for silence: what liveliness and the clock say. The asker's hint, not a proof."""
+        if timed_out:
+            return Failure(code="timed_out", message=f"no answer within {limit_s:g} s", where=key)
+        if not self.connected():
+            return _no_router(self._settings)
+        role = KEYS[name_of(key)].answered_by
+        held = role != "anybody" and self.present(at(self._settings.realm, "alive", role=role))
+        code: Code = "no_controller" if role == "controller" else "not_found"
+        if not held:
+            return Failure(
+                code=code,
+                message=f"nobody answers at {key}",
+                mend="start one: luxloop serve local" if role == "controller" else "",
+            )
+        if took_s < 0.1:
+            return Failure(
+                code="refused",
+                message=f"{role} is there, but the question did not reach it or was dropped",
+                mend="check this role's permissions: luxloop doctor",
+                where=key,
+            )
+        return Failure(code=code, message=f"{role} was lost after {took_s:.1f} s", mend="ask again", where=key)
+
+
+def run_router(settings: Settings, stop: threading.Event) -> None:
+    """Be the router at `settings.router` until `stop` is set."""
+    config = _base_config("router")
+    config.insert_json5("listen", json.dumps({"endpoints": [settings.router], "exit_on_failure": True}))
+    session = _open(config, settings, listening=True)
+    try:
+        stop.wait()
+    finally:
+        closer = threading.Thread(target=session.close, daemon=True)
+        closer.start()
+        closer.join(3.0)
+
+
+def _base_config(mode: str) -> zenoh.Config:
+    config = zenoh.Config()
+    for path, value in {
+        "mode": mode,
+        "scouting/multicast/enabled": False,
+        "scouting/gossip/enabled": False,
+        "transport/link/tx/lease": LEASE_MS,
+        "transport/link/rx/max_message_size": RECEIVE_BYTES,
+        "transport/shared_memory/enabled": False,
+        "queries_default_timeout": 10000,
+    }.items():
+        config.insert_json5(path, json.dumps(value))
+    return config
+
+
+def _client_config(settings: Settings, patient: bool) -> zenoh.Config:
+    config = _base_config("client")
+    connect = {
+        "endpoints": [settings.router],
+        "timeout_ms": -1 if patient else 3000,
+        "exit_on_failure": not patient,
+        "retry": {"period_init_ms": 100, "period_max_ms": 1000, "period_increase_factor": 2},
+    }
+    config.insert_json5("connect", json.dumps(connect))
+    return config
+
+
+def _open(config: zenoh.Config, settings: Settings, *, listening: bool = False) -> zenoh.Session:
+    zenoh.init_log_from_env_or("off")  # what goes wrong is said by our own errors; RUST_LOG shows zenoh's side
+    try:
+        return zenoh.open(config)
+    except zenoh.ZError as error:
+        if listening:
+            raise RemoteError(
+                Failure(
+                    code="refused",
+                    message=f"cannot listen at {settings.router}: {error}",
+                    mend="is the port taken? choose another with --router or LUXLOOP_ROUTER",
+                )
+            ) from error
+        raise RemoteError(_no_router(settings)) from error
+
+
+def _no_router(settings: Settings) -> Failure:
+    return Failure(
+        code="no_router",
+        message=f"no router at {settings.router}",
+        mend="start one (luxloop serve local) or set LUXLOOP_ROUTER to where it is",
+    )
+
+
+def _answerer(query: zenoh.Query, key: str) -> Callable[[bytes], None]:
+    """Answer once and let go of the query, or its asker waits for its time limit."""
+
+    def answer(frame: bytes) -> None:
+        try:
+            query.reply(key, frame)
+        finally:
+            query.drop()
+
+    return answer

@@ -1,0 +1,75 @@
+"""Large arrays by their content: files named by SHA-256 under the cache folder, bounded in size.
+
+A file is written under another name and renamed, so a killed process leaves no half a blob under a hash; what is
+read is hashed again, and a file that does not match is dropped. The least recently used go first.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import tempfile
+from pathlib import Path
+
+from luxloop.errors import InputError
+
+MAX_BYTES = 2 << 30
+HEX = frozenset("0123456789abcdef")
+
+
+class BlobStore:
+    """The blobs of this host's processes in `folder`; all methods may be called from any thread or process."""
+
+    def __init__(self, folder: Path, max_bytes: int = MAX_BYTES) -> None:
+        self._folder, self._max_bytes = folder, max_bytes
+        self._written_bytes = 0
+
+    def keep(self, raw: bytes) -> str:
+        """Store `raw` and return its SHA-256."""
+        sha256 = hashlib.sha256(raw).hexdigest()
+        path = self._path(sha256)
+        if not path.exists():
+            path.parent.mkdir(parents=True, exist_ok=True)
+            handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=".new-")
+            with os.fdopen(handle, "wb") as file:
+                file.write(raw)
+            Path(temporary).replace(path)
+            self._written_bytes += len(raw)
+            if self._written_bytes > self._max_bytes // 16:
+                self.prune()
+        return sha256
+
+    def get(self, sha256: str) -> bytes | None:
+        """The bytes with this hash, or None where they are not held here (or no longer match it)."""
+        path = self._path(sha256)
+        try:
+            raw = path.read_bytes()
+            os.utime(path)
+        except FileNotFoundError:
+            return None
+        if hashlib.sha256(raw).hexdigest() != sha256:
+            path.unlink(missing_ok=True)
+            return None
+        return raw
+
+    def prune(self) -> None:
+        """Drop the least recently used blobs until the store is within its bound."""
+        self._written_bytes = 0
+        found = []
+        for path in self._folder.glob("*/*"):
+            try:
+                state = path.stat()
+            except FileNotFoundError:  # another process pruned it first
+                continue
+            found.append((state.st_mtime, state.st_size, path))
+        total = sum(size for _, size, _ in found)
+        for _, size, path in sorted(found):
+            if total <= self._max_bytes:
+                break
+            path.unlink(missing_ok=True)
+            total -= size
+
+    def _path(self, sha256: str) -> Path:
+        if len(sha256) != 64 or not set(sha256) <= HEX:
+            raise InputError("sha256", sha256, "64 lower-case hex digits")
+        return self._folder / sha256[:2] / sha256

@@ -1,0 +1,94 @@
+"""What all tests share: free ports, a router of one's own, both kinds of bus."""
+
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from luxloop.bus import Bus
+from tests.local_bus import LocalBus, LocalRouter
+from luxloop.bus.zenoh_bus import ZenohBus
+from luxloop.settings import Settings, as_environment
+
+
+def free_endpoint() -> str:
+    """A TCP endpoint on loopback that nobody listens at."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+
+
+def wait_for(condition: Callable[[], object], what: str, limit_s: float = 20.0) -> None:
+    """Return as soon as `condition()` is true; fail naming `what` after `limit_s`."""
+    end = time.monotonic() + limit_s
+    while not condition():
+        if time.monotonic() > end:
+            raise AssertionError(f"waited {limit_s} s in vain for {what}")
+        time.sleep(0.02)
+
+
+def start(settings: Settings, *argv: str) -> subprocess.Popen[bytes]:
+    """A process of this Python with the settings in its environment."""
+    return subprocess.Popen([sys.executable, *argv], env=as_environment(settings), stdin=subprocess.DEVNULL)
+
+
+def stop(process: subprocess.Popen[bytes]) -> None:
+    """End a process for certain."""
+    process.kill()
+    process.wait(10)
+
+
+@pytest.fixture
+def settings(tmp_path: Path) -> Settings:
+    """Settings with a router port and a cache of their own."""
+    return Settings(router=free_endpoint(), cache=tmp_path / "cache", effects=tmp_path / "effects")
+
+
+@pytest.fixture
+def router(settings: Settings) -> Iterator[subprocess.Popen[bytes]]:
+    """A real router process at `settings.router`."""
+    process = start(settings, "-m", "luxloop", "serve", "router")
+    try:
+        wait_for(lambda: _listens(settings), "the router")
+        yield process
+    finally:
+        stop(process)
+
+
+@pytest.fixture(params=["zenoh", "in process"])
+def new_bus(request: pytest.FixtureRequest) -> Iterator[Callable[[], Bus]]:
+    """Opens buses of one set, of either kind; closes them at the end."""
+    opened: list[Bus] = []
+    if request.param == "zenoh":
+        settings = request.getfixturevalue("settings")
+        request.getfixturevalue("router")
+
+        def make() -> Bus:
+            opened.append(ZenohBus(settings))
+            return opened[-1]
+    else:
+        shared = LocalRouter()
+
+        def make() -> Bus:
+            opened.append(LocalBus(shared))
+            return opened[-1]
+
+    yield make
+    for bus in opened:
+        bus.close()
+
+
+def _listens(settings: Settings) -> bool:
+    host, port = settings.router.removeprefix("tcp/").rsplit(":", 1)
+    with socket.socket() as probe:
+        return probe.connect_ex((host, int(port))) == 0
+
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
