@@ -1,0 +1,71 @@
+"""`luxloop serve router|controller|local`: the processes of PC1's side."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+from typing import Annotated
+
+import typer
+
+from luxloop.settings import load_settings
+
+Router = Annotated[
+    str | None, typer.Option(help="Endpoint, e.g. tcp/127.0.0.1:7447 (else LUXLOOP_ROUTER, else this default).")
+]
+Quiet = Annotated[bool, typer.Option("--quiet", help="Say nothing on stderr but errors.")]
+
+
+def router(router: Router = None, quiet: Quiet = False) -> None:
+    """Be the router that all processes meet at; binds to loopback unless told otherwise."""
+    from luxloop.bus.zenoh_bus import run_router
+
+    settings = load_settings(router=router)
+    _tell(quiet, f"router: listening at {settings.router}")
+    run_router(settings, stop_event())
+
+
+def controller(router: Router = None, quiet: Quiet = False) -> None:
+    """Be the controller: takes tasks from clients, gives them to workers, brings the outcomes back."""
+    from env_controller.dispatcher import Dispatcher
+    from luxloop.bus.zenoh_bus import ZenohBus
+
+    settings = load_settings(router=router)
+    stop = stop_event()
+    with ZenohBus(settings, patient=True) as bus:
+        dispatcher = Dispatcher(bus, settings)
+        _tell(quiet, f"controller: epoch {dispatcher.epoch} at {settings.router}")
+        dispatcher.run(stop)
+
+
+def local(
+    router: Router = None,
+    thin_film: Annotated[int, typer.Option(min=0, max=64, help="How many thin-film workers.")] = 1,
+    quiet: Quiet = False,
+) -> None:
+    """Run router, controller and workers on this machine until Ctrl-C; what ends is started again."""
+    from env_controller.local_set import run_local
+
+    run_local(load_settings(router=router), {"thin-film": thin_film}, stop_event(), quiet=quiet)
+
+
+def stop_event() -> threading.Event:
+    """An event that SIGTERM, SIGINT, and the death of a parent that was to be outlived set."""
+    stop = threading.Event()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: stop.set())
+    if os.environ.get("LUXLOOP_WITH_PARENT") == "1":
+        threading.Thread(target=_watch_parent, args=(stop, os.getppid()), daemon=True).start()
+    return stop
+
+
+def _watch_parent(stop: threading.Event, parent: int) -> None:
+    while not stop.wait(0.5):
+        if os.getppid() != parent:
+            stop.set()
+
+
+def _tell(quiet: bool, text: str) -> None:
+    if not quiet:
+        typer.echo(text, err=True)

@@ -1,0 +1,243 @@
+"""The one way to a worker: submit a request to the controller and wait for its outcome.
+
+    with Client(settings) as client:
+        answer = client.run(request)
+
+A running set is used where one answers at `settings.router`; otherwise, for a loopback endpoint, router, controller
+and workers are started as processes of their own (`luxloop serve local`) and stopped again at the end.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from contextlib import ExitStack
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Any, ClassVar, Protocol
+
+from luxloop import __version__
+from luxloop.bus import Interrupt, ask_for
+from luxloop.bus.blobs import fetcher
+from luxloop.bus.frame import Array, encode
+from luxloop.bus.keys import KEYS, at
+from luxloop.bus.zenoh_bus import ZenohBus
+from luxloop.errors import LuxloopError, RemoteError
+from luxloop.messages import Failure, Outcome, Pending, Status, StatusAsked, Submit, Task, Withdraw
+from luxloop.settings import Settings, as_environment
+from luxloop.store import BlobStore
+
+START_S = 20.0  # for router and controller to answer
+STOP_S = 8.0
+AGAIN = ("no_router", "no_controller", "busy", "timed_out", "refused")  # asking again may help
+
+
+class Request(Protocol):
+    """A message that names the kind of worker it is for."""
+
+    KIND: ClassVar[str]
+
+    def model_dump_json(self) -> str: ...
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a worker computed: plain values, arrays by name, and who computed it how."""
+
+    result: Mapping[str, Any]
+    arrays: Mapping[str, Array]
+    worker: str
+    attempt: int
+    compute_s: float
+
+
+class Client:
+    """A session with the controller. Thread-safe; leave it by `with` so that what it started is stopped."""
+
+    def __init__(self, settings: Settings, *, local: bool = True, patience_s: float = 30.0) -> None:
+        self._patience_s = patience_s
+        self._closing = Interrupt()
+        self._stack = ExitStack()
+        started = False
+        if not _listening(settings.router):
+            if not (local and _is_loopback(settings.router)):
+                raise RemoteError(_nobody(settings))
+            settings, started = self._start_local(settings), True
+        self.settings = settings
+        try:
+            self._bus = self._stack.enter_context(ZenohBus(settings))
+            self._fetch = fetcher(self._bus, settings.realm, BlobStore(settings.cache_dir / "blobs"))
+            self.status(START_S if started else KEYS["status"].time_limit_s)
+        except BaseException:
+            self.close()
+            raise
+
+    def run(
+        self, request: Request | Task, *, limit_s: float = 600.0, on_pending: Callable[[Pending], None] | None = None
+    ) -> Answer:
+        """The worker's answer. Raises RemoteError with the typed failure where there is none."""
+        task = as_task(request)
+        submit = encode(Submit(task=task, patience_s=self._patience_s, limit_s=limit_s))
+        key, row = at(self.settings.realm, "submit", kind=task.kind), KEYS["submit"]
+        lost_since_s: float | None = None
+        while True:
+            try:
+                parcel = ask_for(self._bus, key, submit, row.time_limit_s, cancelled=self._closing, fetch=self._fetch)
+            except RemoteError as error:
+                if error.failure.code not in AGAIN or self._closing.is_set():
+                    raise
+                lost_since_s = lost_since_s or time.monotonic()
+                if time.monotonic() - lost_since_s > self._patience_s:
+                    raise
+                time.sleep(0.2)
+                continue
+            lost_since_s = None
+            if isinstance(parcel.message, Pending):
+                if on_pending is not None:
+                    on_pending(parcel.message)
+                continue
+            outcome = parcel.expect(Outcome)
+            if outcome.failure is not None:
+                raise RemoteError(outcome.failure)
+            return Answer(outcome.result or {}, parcel.arrays, outcome.worker, outcome.attempt, outcome.compute_s)
+
+    def map(
+        self, requests: Iterable[Request | Task], *, lanes: int = 8, limit_s: float = 600.0
+    ) -> Iterator[tuple[int, Answer | RemoteError]]:
+        """(number, answer or failure) of each request as they come in, `lanes` of them under way at once."""
+        numbered = enumerate(requests)
+        pool = ThreadPoolExecutor(lanes, thread_name_prefix="lane")
+        under_way: dict[Future[Answer], int] = {}
+        try:
+            while True:
+                while len(under_way) < lanes and (item := next(numbered, None)) is not None:
+                    under_way[pool.submit(self.run, item[1], limit_s=limit_s)] = item[0]
+                if not under_way:
+                    return
+                finished, _ = wait(under_way, return_when=FIRST_COMPLETED)
+                for future in finished:
+                    yield under_way.pop(future), _answer_or_failure(future)
+        finally:
+            if under_way:  # left early: nobody waits for these any more
+                self._closing.set()
+            pool.shutdown(wait=True, cancel_futures=True)
+            self._closing.clear()
+
+    def withdraw(self, request: Request | Task) -> None:
+        """Take a wish back; the task is cancelled unless somebody else waits for it."""
+        withdraw = Withdraw(task_id=as_task(request).id)
+        ask_for(self._bus, at(self.settings.realm, "withdraw"), withdraw, KEYS["withdraw"].time_limit_s)
+
+    def status(self, patience_s: float = 0.0) -> Status:
+        """How things stand at the controller; waits up to `patience_s` for one to be there."""
+        end_s = time.monotonic() + patience_s
+        key, row = at(self.settings.realm, "status"), KEYS["status"]
+        while True:
+            try:
+                return ask_for(self._bus, key, StatusAsked(), row.time_limit_s).expect(Status)
+            except RemoteError as error:
+                if error.failure.code not in AGAIN or time.monotonic() > end_s:
+                    raise
+                time.sleep(0.05)
+
+    def close(self) -> None:
+        """Let go of everything held, and stop what was started."""
+        self._closing.set()
+        self._stack.close()
+
+    def _start_local(self, settings: Settings) -> Settings:
+        """Start a private set on a free port; it ends with this process even if this is killed."""
+        settings = settings.model_copy(update={"router": _free_endpoint()})
+        process = subprocess.Popen(
+            [sys.executable, "-m", "luxloop", "serve", "local", "--quiet"],
+            env=as_environment(settings) | {"LUXLOOP_WITH_PARENT": "1"},
+            stdin=subprocess.DEVNULL,
+            start_new_session=True,  # Ctrl-C is for us: we finish what we hold, then end the set
+        )
+        self._stack.callback(_stop, process)
+        end_s = time.monotonic() + START_S
+        while not _listening(settings.router):
+            if process.poll() is not None or time.monotonic() > end_s:
+                self.close()
+                raise RemoteError(
+                    Failure(
+                        code="no_router",
+                        message="the local set of processes did not start",
+                        mend="run `luxloop serve local` by hand to see why",
+                    )
+                )
+            time.sleep(0.01)
+        return settings
+
+    def __enter__(self) -> Client:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def as_task(request: Request | Task) -> Task:
+    """The task that a typed request makes: its kind of worker, its canonical inputs, this release."""
+    if isinstance(request, Task):
+        return request
+    return Task(kind=request.KIND, inputs=json.loads(request.model_dump_json()), version=__version__)
+
+
+def _stop(process: subprocess.Popen[bytes]) -> None:
+    process.terminate()
+    try:
+        process.wait(STOP_S)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
+
+
+def _answer_or_failure(future: Future[Answer]) -> Answer | RemoteError:
+    try:
+        return future.result()
+    except RemoteError as error:
+        return error
+    except LuxloopError as error:
+        return RemoteError(Failure.of(error))
+
+
+def _host_and_port(endpoint: str) -> tuple[str, int]:
+    host, _, port = endpoint.partition("/")[2].rpartition(":")
+    return host.strip("[]"), int(port)
+
+
+def _is_loopback(endpoint: str) -> bool:
+    host = _host_and_port(endpoint)[0]
+    return host == "localhost" or host == "::1" or host.startswith("127.")
+
+
+def _listening(endpoint: str) -> bool:
+    """Whether something accepts connections there: said at once, where opening a session would wait."""
+    try:
+        with socket.create_connection(_host_and_port(endpoint), timeout=2.0):
+            return True
+    except OSError:
+        return False
+
+
+def _free_endpoint() -> str:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+
+
+def _nobody(settings: Settings) -> Failure:
+    return Failure(
+        code="no_router",
+        message=f"no router at {settings.router}",
+        mend="start one there, or set LUXLOOP_ROUTER to where it is",
+        where=f"pid {os.getpid()}",
+    )

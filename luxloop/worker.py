@@ -1,0 +1,307 @@
+"""What every worker is: pull a task, compute it, deliver until acknowledged; say every second that it is alive.
+
+Two threads. The working thread pulls, computes and delivers. The main thread beats, takes signals and cancels,
+serves blobs, and sees the worker out: on SIGTERM the task in hand is finished if that takes no more than
+`FINISH_S`, else stopped at its next checkpoint and handed back; after `LEAVE_S` the process ends in any case.
+"""
+
+from __future__ import annotations
+
+import os
+import platform
+import signal
+import threading
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+from uuid import uuid4
+
+import numpy as np
+
+from luxloop import __version__
+from luxloop.bus import Asked, Bus, Heard, Inbox, Interrupt, ask_for
+from luxloop.bus.blobs import serve_piece
+from luxloop.bus.frame import Array, decode, encode
+from luxloop.bus.keys import KEYS, at
+from luxloop.errors import LuxloopError, RemoteError
+from luxloop.messages import (
+    Cancel,
+    Describe,
+    Done,
+    Failure,
+    Heartbeat,
+    Hello,
+    Lease,
+    Outcome,
+    Pull,
+    Receipt,
+    Welcome,
+)
+from luxloop.settings import Settings
+from luxloop.store import BlobStore
+
+FINISH_S = 2.5
+LEAVE_S = 4.0
+WAITABLE = ("no_router", "no_controller", "timed_out", "busy", "refused", "cancelled")
+
+
+class Stopped(Exception):  # noqa: N818  not an error: the task was cancelled, or the worker leaves
+    """Raised at a checkpoint of the computation."""
+
+
+@dataclass
+class Progress:
+    """How far a computation is; it reports here between chunks, and is stopped here."""
+
+    ratio: float = 0.0
+    note: str = ""
+    stop: threading.Event = field(default_factory=threading.Event)
+
+    def report(self, ratio: float, note: str = "") -> None:
+        """Note how far it is (0 to 1); raises Stopped where it is to end."""
+        self.ratio, self.note = min(max(ratio, 0.0), 1.0), note[:200]
+        if self.stop.is_set():
+            raise Stopped
+
+
+class Computation(Protocol):
+    """What makes a worker a film worker or a ray worker."""
+
+    kind: str
+
+    def catalogue(self) -> dict[str, Any]:
+        """What it can do, told to the controller once."""
+        ...
+
+    def compute(self, inputs: dict[str, Any], progress: Progress) -> tuple[dict[str, Any], Mapping[str, Array]]:
+        """The result and its arrays. Raises InputError for a request that cannot be used."""
+        ...
+
+    def blob(self, sha256: str) -> bytes | None:
+        """A blob of its own store, beside those sent as large arrays."""
+        ...
+
+
+class Worker:
+    """One worker process around a `Computation`."""
+
+    def __init__(self, computation: Computation, bus: Bus, settings: Settings) -> None:
+        self._computation, self._bus, self._settings = computation, bus, settings
+        self.name = f"{computation.kind}-{uuid4().hex[:8]}"
+        self._kind, self._realm = computation.kind, settings.realm
+        self._store = BlobStore(settings.cache_dir / "blobs")
+        self._inbox = Inbox()
+        self._epoch = ""
+        self._leaving = Interrupt()
+        self._lease: Lease | None = None
+        self._began_s = 0.0
+        self._progress = Progress()
+        self._error: LuxloopError | None = None
+
+    def run(self) -> None:
+        """Work until SIGTERM or SIGINT, or until the parent that was to be outlived has gone."""
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(number, lambda *_: self._leaving.set())
+        self._bus.subscribe(self._key("cancel"), self._inbox)
+        self._bus.answer(at(self._realm, "blob"), self._inbox)
+        self._bus.announce(at(self._realm, "alive", role="worker", kind=self._kind, name=self.name))
+        working = threading.Thread(target=self._work, name="work", daemon=True)
+        working.start()
+        self._attend(working)
+        self._leave(working)
+        if self._error is not None:
+            raise self._error
+
+    def _attend(self, working: threading.Thread) -> None:
+        """Beat, serve and listen until it is time to leave."""
+        next_beat_s, parent = time.monotonic(), os.getppid()
+        while not self._leaving.is_set() and working.is_alive():
+            if time.monotonic() >= next_beat_s:
+                self._beat()
+                next_beat_s = time.monotonic() + self._settings.heartbeat_s
+                if os.environ.get("LUXLOOP_WITH_PARENT") == "1" and os.getppid() != parent:
+                    return  # whoever started this worker was killed
+            event = self._inbox.take(min(0.25, max(next_beat_s - time.monotonic(), 0.001)))
+            if isinstance(event, Asked):
+                serve_piece(event, lambda sha256: self._store.get(sha256) or self._computation.blob(sha256))
+            elif isinstance(event, Heard):
+                self._cancel(event.frame)
+
+    def _leave(self, working: threading.Thread) -> None:
+        """Finish what is nearly done, hand back the rest, and go within `LEAVE_S`."""
+        self._leaving.set()
+        begin_s = time.monotonic()
+        working.join(FINISH_S)
+        self._progress.stop.set()
+        working.join(LEAVE_S - (time.monotonic() - begin_s))
+        if working.is_alive() and self._lease is not None:
+            self._hand_back(self._lease)
+        self._bus.close()
+        if working.is_alive():  # a computation that never looks up: nothing else ends it
+            os._exit(0)
+
+    def _work(self) -> None:
+        try:
+            self._pull_and_compute()
+        except LuxloopError as error:  # refused by the controller for good: the main thread ends and says why
+            self._error = error
+
+    def _pull_and_compute(self) -> None:
+        lease: Lease | None = None
+        while not self._leaving.is_set():
+            lease = lease or self._pull()
+            if lease is None:
+                continue
+            done = self._attempt(lease)
+            lease = self._deliver(lease, done) if done is not None else None
+        if lease is not None:
+            self._hand_back(lease)
+
+    def _pull(self) -> Lease | None:
+        """The next lease, or None: nothing to do, nobody there (after a short wait), or leaving."""
+        try:
+            if not self._epoch:
+                self._epoch = self._say_hello()
+            pull = Pull(worker=self.name, kind=self._kind, epoch=self._epoch)
+            message = ask_for(
+                self._bus, self._key("pull"), pull, KEYS["pull"].time_limit_s, cancelled=self._leaving
+            ).message
+            return message if isinstance(message, Lease) else None
+        except RemoteError as error:
+            if error.failure.code == "stale":
+                self._epoch = ""
+                return None
+            if error.failure.code not in WAITABLE:
+                raise
+            self._leaving.wait(0.3)
+            return None
+
+    def _say_hello(self) -> str:
+        describe = Describe(
+            worker=self.name,
+            kind=self._kind,
+            version=__version__,
+            host=platform.node(),
+            pid=os.getpid(),
+            catalogue=self._computation.catalogue(),
+        )
+        key = at(self._realm, "hello", kind=self._kind)
+        return ask_for(self._bus, key, Hello(describe=describe), KEYS["hello"].time_limit_s).expect(Welcome).epoch
+
+    def _attempt(self, lease: Lease) -> bytes | None:
+        """Compute a lease; the frame to deliver, or None where it was stopped."""
+        self._progress = Progress()
+        self._began_s, self._lease = time.monotonic(), lease
+        arrays: Mapping[str, Array] = {}
+        try:
+            if lease.task.version != __version__:
+                raise RemoteError(_other_version(lease.task.version))
+            result, arrays = self._computation.compute(lease.task.inputs, self._progress)
+            _refuse_nan(arrays)
+            outcome = self._outcome(lease, result=result)
+            return encode(self._done(lease, outcome), arrays, self._store.keep)
+        except Stopped:
+            if self._leaving.is_set():
+                self._hand_back(lease)
+            self._lease = None
+            return None
+        except RemoteError as error:
+            return encode(self._done(lease, self._outcome(lease, failure=error.failure)))
+        except Exception as error:  # noqa: BLE001  whatever a computation raises becomes a Failure; the worker goes on
+            return encode(self._done(lease, self._outcome(lease, failure=Failure.of(error, self.name))))
+
+    def _outcome(self, lease: Lease, result: dict[str, Any] | None = None, failure: Failure | None = None) -> Outcome:
+        return Outcome(
+            task_id=lease.task.id,
+            result=result,
+            failure=failure,
+            worker=self.name,
+            attempt=lease.attempt,
+            compute_s=time.monotonic() - self._began_s,
+        )
+
+    def _done(self, lease: Lease, outcome: Outcome) -> Done:
+        return Done(
+            worker=self.name,
+            kind=self._kind,
+            attempt=lease.attempt,
+            epoch=lease.epoch,
+            outcome=outcome,
+            wants_next=not self._leaving.is_set(),
+        )
+
+    def _deliver(self, lease: Lease, done: bytes) -> Lease | None:
+        """Put a result again and again until the controller has it or will never want it; the next lease if given."""
+        receipt: Receipt | None = None
+        give_up_s = float("inf")
+        while receipt is None and time.monotonic() < give_up_s:
+            try:
+                receipt = ask_for(self._bus, self._key("done"), done, KEYS["done"].time_limit_s).expect(Receipt)
+            except RemoteError as error:
+                if error.failure.code not in WAITABLE:  # it will never be taken as it is: say so instead
+                    done = encode(self._done(lease, self._outcome(lease, failure=error.failure)))
+                if self._leaving.is_set():
+                    give_up_s = min(give_up_s, time.monotonic() + FINISH_S)
+                time.sleep(0.2)
+        self._lease = None
+        return receipt.next if receipt else None
+
+    def _hand_back(self, lease: Lease) -> None:
+        back = Done(
+            worker=self.name, kind=self._kind, attempt=lease.attempt, epoch=lease.epoch, handed_back=lease.task.id
+        )
+        try:
+            ask_for(self._bus, self._key("done"), back, 1.0)
+        except LuxloopError:  # the vanishing token will say it
+            return
+
+    def _beat(self) -> None:
+        lease = self._lease
+        beat = Heartbeat(
+            worker=self.name,
+            kind=self._kind,
+            task_id=lease.task.id if lease else None,
+            attempt=lease.attempt if lease else 0,
+            progress_ratio=self._progress.ratio if lease else 0.0,
+            note=self._progress.note if lease else "",
+            busy_s=time.monotonic() - self._began_s if lease else 0.0,
+            resident_mb=resident_mb(),
+            sent_unix_s=time.time(),
+        )
+        self._bus.publish(at(self._realm, "heartbeat", kind=self._kind, worker=self.name), encode(beat))
+
+    def _cancel(self, frame: bytes) -> None:
+        try:
+            cancel = decode(frame).expect(Cancel)
+        except LuxloopError:
+            return  # not a message of ours
+        lease = self._lease
+        if lease is not None and (lease.task.id, lease.attempt) == (cancel.task_id, cancel.attempt):
+            self._progress.stop.set()
+
+    def _key(self, row: str) -> str:
+        return at(self._realm, row, kind=self._kind, worker=self.name)
+
+
+def resident_mb() -> float:
+    """Resident memory of this process in MB; 0 where the system does not say."""
+    try:
+        with open("/proc/self/statm") as file:
+            return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
+    except OSError:
+        return 0.0
+
+
+def _refuse_nan(arrays: Mapping[str, Array]) -> None:
+    for name, array in arrays.items():
+        if array.dtype.kind == "f" and not np.isfinite(array).all():
+            raise ArithmeticError(f"the computation returned NaN or infinity in {name}")
+
+
+def _other_version(version: str) -> Failure:
+    return Failure(
+        code="version",
+        message=f"the task is of release {version}, this worker of {__version__}",
+        mend="run the same release of luxloop on all sides",
+    )

@@ -1,0 +1,453 @@
+"""Real processes: a router, a controller, workers that can be killed; what a client sees of their faults."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import subprocess
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from luxloop import __version__
+from luxloop.bus import Heard, Inbox, ask_for
+from luxloop.bus.frame import decode, encode
+from luxloop.bus.keys import at
+from luxloop.bus.zenoh_bus import ZenohBus
+from luxloop.client import Answer, Client
+from luxloop.errors import RemoteError
+from luxloop.messages import Done, Failure, Heartbeat, Hello, Outcome, Pull, Receipt, Submit, Task
+from luxloop.settings import Settings
+from tests.conftest import start, stop, wait_for
+
+SLEEPY = str(Path(__file__).parents[1] / "sleepy_worker.py")
+
+
+def task(what: str = "nothing", **inputs: float) -> Task:
+    """A task for the sleepy worker."""
+    return Task(kind="sleepy", inputs={"what": what, **inputs}, version=__version__)
+
+
+class Set:
+    """Router, controller and sleepy workers as processes of this test, and a client of them."""
+
+    def __init__(self, settings: Settings) -> None:
+        self.settings = settings
+        self.router = start(settings, "-m", "luxloop", "serve", "router", "--quiet")
+        self.controller = start(settings, "-m", "luxloop", "serve", "controller", "--quiet")
+        self.workers: list[subprocess.Popen[bytes]] = []
+        wait_for(self._answers, "the controller")
+        self.client = Client(settings, local=False)
+
+    def add_worker(self) -> subprocess.Popen[bytes]:
+        """One more worker process."""
+        self.workers.append(start(self.settings, SLEEPY))
+        return self.workers[-1]
+
+    def ready(self, count: int) -> None:
+        """Wait until so many workers have introduced themselves."""
+        wait_for(lambda: len(self.client.status(5.0).workers) == count, f"{count} workers")
+
+    def running(self) -> None:
+        """Wait until a task is in a worker's hands."""
+        wait_for(lambda: self.client.status(5.0).running, "a lease")
+
+    def later(self, wanted: Task) -> tuple[threading.Thread, list[Answer | Failure]]:
+        """Ask in a thread; the list gets the answer or the failure."""
+        got: list[Answer | Failure] = []
+
+        def ask() -> None:
+            try:
+                got.append(self.client.run(wanted))
+            except RemoteError as error:
+                got.append(error.failure)
+
+        thread = threading.Thread(target=ask, daemon=True)
+        thread.start()
+        return thread, got
+
+    def close(self) -> None:
+        """End all of it."""
+        self.client.close()
+        for process in [*self.workers, self.controller, self.router]:
+            stop(process)
+
+    def _answers(self) -> bool:
+        try:
+            Client(self.settings, local=False).close()
+        except RemoteError:
+            return False
+        return True
+
+
+@pytest.fixture
+def processes(settings: Settings) -> Iterator[Set]:
+    """A running set with no worker yet."""
+    running = Set(settings)
+    yield running
+    running.close()
+
+
+def test_a_task_is_computed_and_its_array_arrives_whole(processes: Set) -> None:
+    """An array above 1 MB goes by hash and comes out bit for bit; a small one rides in the frame."""
+    processes.add_worker()
+    for values in (10, 300_000):
+        answer = processes.client.run(task("big", values=values))
+        np.testing.assert_array_equal(answer.arrays["map"], np.arange(values, dtype="<f8"))
+
+
+def test_a_large_array_travels_in_pieces_to_another_host(processes: Set, tmp_path: Path) -> None:
+    """A client with a cache folder of its own, as on another host, gets the array over the bus."""
+    processes.add_worker()
+    elsewhere = processes.settings.model_copy(update={"cache": tmp_path / "other host"})
+    with Client(elsewhere, local=False) as client:
+        answer = client.run(task("big", values=300_000))
+    np.testing.assert_array_equal(answer.arrays["map"], np.arange(300_000, dtype="<f8"))
+
+
+def test_the_same_task_twice_is_computed_once(processes: Set) -> None:
+    """A finished result serves whoever asks again; another seed is another task."""
+    processes.add_worker()
+    first = processes.client.run(task("nap", s=0.2))
+    begin = time.monotonic()
+    assert processes.client.run(task("nap", s=0.2)).result == first.result
+    assert processes.client.status().done == 1
+    assert time.monotonic() - begin < 5.0
+    processes.client.run(task("nap", s=0.21))
+    assert processes.client.status().done == 2
+
+
+@pytest.mark.parametrize(
+    ("what", "code", "says"),
+    [
+        ("refuse", "bad_input", "ask for something else"),
+        ("crash", "crashed", "told to crash"),
+        ("nan", "crashed", "NaN or infinity in map"),
+        ("die", "worker_lost", "attempt 3"),
+    ],
+)
+def test_what_goes_wrong_in_a_worker_comes_back_typed(processes: Set, what: str, code: str, says: str) -> None:
+    """Bad input, a crash, a NaN and a worker-killing task each end with their code; another task is served after."""
+    for _ in range(4):
+        processes.add_worker()
+    processes.ready(4)
+    with pytest.raises(RemoteError) as caught:
+        processes.client.run(task(what))
+    assert caught.value.failure.code == code
+    assert says in caught.value.failure.text()
+    assert processes.client.run(task("nothing", number=7)).result["number"] == 7
+
+
+def test_no_worker_is_said_after_the_patience(processes: Set) -> None:
+    """Without a worker of the kind the task ends as no_worker with a hint, not with silence."""
+    with Client(processes.settings, local=False, patience_s=0.5) as client, pytest.raises(RemoteError) as caught:
+        client.run(task())
+    assert caught.value.failure.code == "no_worker"
+    assert "luxloop serve" in caught.value.failure.mend
+
+
+def test_a_worker_killed_in_a_task_is_replaced(processes: Set) -> None:
+    """kill -9 while it computes: the next worker gets the task as attempt 2 and the client its answer."""
+    victim = processes.add_worker()
+    processes.ready(1)
+    thread, got = processes.later(task("nap", s=1.0))
+    processes.running()
+    processes.add_worker()
+    os.kill(victim.pid, signal.SIGKILL)
+    thread.join(20)
+    (answer,) = got
+    assert isinstance(answer, Answer)
+    assert answer.attempt == 2
+
+
+def test_200_tasks_while_workers_are_killed(processes: Set) -> None:
+    """Each of 200 tasks is answered once with its own number while workers are killed at random and replaced."""
+    rng = random.Random(5)
+    for _ in range(2):
+        processes.add_worker()
+    processes.ready(2)
+    finished, kills = threading.Event(), 0
+    answers: dict[int, int] = {}
+
+    def ask() -> None:
+        wanted = (task("nap", s=0.03, number=number) for number in range(200))
+        for number, answer in processes.client.map(wanted, lanes=4):
+            assert isinstance(answer, Answer), answer
+            assert number not in answers
+            answers[number] = answer.result["number"]
+        finished.set()
+
+    thread = threading.Thread(target=ask)
+    thread.start()
+    while not finished.wait(rng.uniform(0.2, 0.6)) and thread.is_alive():
+        alive = [worker for worker in processes.workers if worker.poll() is None]
+        os.kill(rng.choice(alive).pid, signal.SIGKILL)
+        kills += 1
+        processes.add_worker()
+    thread.join(60)
+    assert answers == {number: number for number in range(200)}
+    assert kills >= 3
+
+
+def test_sigterm_finishes_a_short_task_and_leaves(processes: Set) -> None:
+    """A worker told to go finishes what takes a second, delivers it, and ends with 0 within 5 s."""
+    worker = processes.add_worker()
+    processes.ready(1)
+    thread, got = processes.later(task("nap", s=1.0))
+    processes.running()
+    begin = time.monotonic()
+    worker.terminate()
+    assert worker.wait(10) == 0
+    assert time.monotonic() - begin < 5.0
+    thread.join(10)
+    (answer,) = got
+    assert isinstance(answer, Answer)
+    assert answer.attempt == 1
+
+
+@pytest.mark.parametrize("what", ["nap", "nap deaf"])
+def test_sigterm_hands_back_a_long_task(processes: Set, what: str) -> None:
+    """A long task, stoppable or deaf, is handed back within 5 s, nothing held against it, and done by the next."""
+    worker = processes.add_worker()
+    processes.ready(1)
+    thread, got = processes.later(task(what, s=6.0))
+    processes.running()
+    begin = time.monotonic()
+    worker.terminate()
+    assert worker.wait(10) == 0
+    assert time.monotonic() - begin < 5.0
+    wait_for(lambda: processes.client.status(5.0).queued.get("sleepy") == 1, "the task to be back in the queue")
+    processes.add_worker()
+    thread.join(20)
+    (answer,) = got
+    assert isinstance(answer, Answer)
+    assert answer.attempt == 2
+
+
+def test_an_idle_worker_leaves_at_once(processes: Set) -> None:
+    """SIGTERM to a worker that waits for work ends it in about a second: the held poll does not keep it."""
+    worker = processes.add_worker()
+    processes.ready(1)
+    begin = time.monotonic()
+    worker.terminate()
+    assert worker.wait(10) == 0
+    assert time.monotonic() - begin < 3.0
+    wait_for(lambda: not processes.client.status().workers, "its absence to be seen")
+
+
+def test_heartbeats_come_every_second_during_a_task(processes: Set) -> None:
+    """While a task runs 5 s, no two heartbeats are more than 2 s apart, and they tell the progress."""
+    processes.add_worker()
+    processes.ready(1)
+    inbox = Inbox()
+    with ZenohBus(processes.settings) as bus:
+        bus.subscribe(at(processes.settings.realm, "heartbeat"), inbox)
+        thread, _ = processes.later(task("nap", s=5.0))
+        thread.join(20)
+    beats = []
+    while (event := inbox.take(0.0)) is not None:
+        assert isinstance(event, Heard)
+        beats.append(decode(event.frame).expect(Heartbeat))
+    working = [beat for beat in beats if beat.task_id == task("nap", s=5.0).id]
+    assert len(working) >= 4
+    assert max(b.sent_unix_s - a.sent_unix_s for a, b in zip(beats, beats[1:], strict=False)) < 2.0
+    assert [b.progress_ratio for b in working] == sorted(b.progress_ratio for b in working)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("fault", ["stop", "hold gil"])
+def test_a_worker_that_falls_silent_is_overtaken_and_fenced(settings: Settings, fault: str) -> None:
+    """SIGSTOP, or a C call that holds the GIL: another worker finishes the task; the late result does not count."""
+    processes = Set(settings.model_copy(update={"silence_s": 3.0}))
+    try:
+        victim = processes.add_worker()
+        processes.ready(1)
+        wanted = task("hold gil", s=8.0) if fault == "hold gil" else task("nap", s=2.0)
+        thread, got = processes.later(wanted)
+        processes.running()
+        if fault == "stop":
+            os.kill(victim.pid, signal.SIGSTOP)
+        processes.add_worker()
+        if fault == "stop":
+            thread.join(20)
+            os.kill(victim.pid, signal.SIGCONT)
+            wait_for(lambda: processes.client.status().fenced >= 1 or processes.client.status().done >= 1, "the end")
+            (answer,) = got
+            assert isinstance(answer, Answer)
+            assert answer.attempt == 2
+        else:
+            wait_for(lambda: processes.client.status().requeued >= 1, "the silence to be noticed")
+            wait_for(lambda: processes.client.status().fenced >= 1, "the late result", 30.0)
+        assert processes.client.run(task("nothing", number=3)).result["number"] == 3
+    finally:
+        processes.close()
+
+
+def test_a_router_restart_loses_nothing(processes: Set) -> None:
+    """Kill and restart the router while a task runs: the worker delivers after it, the client gets its answer."""
+    processes.add_worker()
+    processes.ready(1)
+    thread, got = processes.later(task("nap", s=2.0))
+    processes.running()
+    stop(processes.router)
+    time.sleep(1.0)
+    processes.router = start(processes.settings, "-m", "luxloop", "serve", "router", "--quiet")
+    thread.join(40)
+    (answer,) = got
+    assert isinstance(answer, Answer)
+    assert processes.client.run(task("nothing", number=4)).result["number"] == 4
+
+
+def test_a_controller_restart_loses_nothing(processes: Set) -> None:
+    """Kill the controller while a task runs: worker and client find the new one, the old epoch is fenced."""
+    processes.add_worker()
+    processes.ready(1)
+    before = processes.client.status().epoch
+    thread, got = processes.later(task("nap", s=1.0))
+    processes.running()
+    stop(processes.controller)
+    processes.controller = start(processes.settings, "-m", "luxloop", "serve", "controller", "--quiet")
+    thread.join(40)
+    (answer,) = got
+    assert isinstance(answer, Answer)
+    assert processes.client.status().epoch != before
+
+
+def test_a_second_controller_is_refused(processes: Set) -> None:
+    """Two controllers on one realm would lease every task twice; the second ends with a clear error."""
+    second = subprocess.run(
+        ["python", "-m", "luxloop", "serve", "controller", "--router", processes.settings.router],
+        capture_output=True,
+        timeout=30,
+        check=False,
+        text=True,
+    )
+    assert second.returncode == 1
+    assert "already serves" in second.stderr
+
+
+def test_a_withdrawn_task_is_cancelled_on_the_worker(processes: Set) -> None:
+    """After the withdrawal the asker is told `cancelled`, and the worker is free within seconds, not after 60."""
+    processes.add_worker()
+    processes.ready(1)
+    thread, got = processes.later(task("nap", s=60.0))
+    processes.running()
+    processes.client.withdraw(task("nap", s=60.0))
+    thread.join(10)
+    (failure,) = got
+    assert isinstance(failure, Failure)
+    assert failure.code == "cancelled"
+    begin = time.monotonic()
+    processes.client.run(task("nothing", number=5))
+    assert time.monotonic() - begin < 5.0
+
+
+class TestBadMessages:
+    """Whatever arrives at the controller is answered, and it goes on."""
+
+    def ask(self, processes: Set, row: str, frame: bytes) -> Failure:
+        """Send a frame and return the failure that comes back."""
+        with ZenohBus(processes.settings) as bus:
+            with pytest.raises(RemoteError) as caught:
+                ask_for(bus, at("luxloop", row, kind="sleepy"), frame, 5.0)
+            assert processes.client.status().version == __version__
+            return caught.value.failure
+
+    def test_garbage(self, processes: Set) -> None:
+        """Bytes that are no frame."""
+        assert self.ask(processes, "submit", b"garbage" * 10).code == "bad_input"
+
+    def test_every_truncation_is_named(self, processes: Set) -> None:
+        """A frame cut short anywhere is refused as such."""
+        frame = encode(Submit(task=task()))
+        for length in range(0, len(frame) - 8, 37):  # the last bytes may be padding
+            assert self.ask(processes, "submit", frame[:length]).field in ("frame", "Submit", "schema", "kind")
+
+    def test_another_schema_version(self, processes: Set) -> None:
+        """A message of another schema is refused with both numbers and the mend."""
+        frame = encode(Submit(task=task())).replace(b'"schema": 1', b'"schema": 2')
+        failure = self.ask(processes, "submit", frame)
+        assert (failure.field, failure.value, failure.allowed) == ("schema", "2", "1")
+        assert "same release" in failure.mend
+
+    def test_another_release(self, processes: Set) -> None:
+        """A task of another release is refused, naming both."""
+        other = Task(kind="sleepy", inputs={}, version="99.0")
+        failure = self.ask(processes, "submit", encode(Submit(task=other)))
+        assert failure.code == "version"
+        assert "99.0" in failure.message
+        assert __version__ in failure.message
+
+    def test_a_message_on_the_wrong_key(self, processes: Set) -> None:
+        """A heartbeat is no question."""
+        assert "no question" in self.ask(processes, "submit", encode(Heartbeat(worker="w", kind="sleepy"))).message
+
+    def test_a_stranger_s_result_is_fenced(self, processes: Set) -> None:
+        """A result for a task the sender was never given is not accepted, and changes nothing."""
+        outcome = Outcome(task_id=task().id, result={})
+        done = Done(worker="stranger", kind="sleepy", attempt=1, epoch="e0", outcome=outcome)
+        with ZenohBus(processes.settings) as bus:
+            receipt = ask_for(bus, at("luxloop", "done", kind="sleepy"), done, 5.0).expect(Receipt)
+        assert not receipt.accepted
+        assert processes.client.status().done == 0
+
+    def test_a_pull_of_another_epoch(self, processes: Set) -> None:
+        """A worker of before the restart is told to say hello again."""
+        pull = encode(Pull(worker="w1", kind="sleepy", epoch="old"))
+        assert self.ask(processes, "pull", pull).code == "stale"
+
+    def test_a_worker_of_another_release(self, processes: Set) -> None:
+        """It is not let in."""
+        from luxloop.messages import Describe
+
+        describe = Describe(worker="w1", kind="sleepy", version="99.0", host="h", pid=1)
+        assert self.ask(processes, "hello", encode(Hello(describe=describe))).code == "version"
+
+
+def test_a_client_starts_what_it_needs_and_stops_it(settings: Settings) -> None:
+    """With nothing running the client starts a set of processes, uses it, and leaves none of them behind."""
+    with Client(settings) as client:
+        assert client.settings.router != settings.router
+        status = client.status()
+        assert status.version == __version__
+    with pytest.raises(RemoteError):
+        Client(client.settings, local=False)
+
+
+def test_a_killed_client_leaves_no_processes(settings: Settings) -> None:
+    """kill -9 of a client that started a set: router, controller and workers end by themselves."""
+    code = (
+        "import sys, time\nfrom luxloop.client import Client\nfrom luxloop.settings import Settings\n"
+        "client = Client(Settings())\nprint(client.settings.router, flush=True)\ntime.sleep(60)\n"
+    )
+    process = subprocess.Popen(
+        ["python", "-c", code],
+        stdout=subprocess.PIPE,
+        text=True,
+        env=os.environ | {"LUXLOOP_ROUTER": settings.router, "LUXLOOP_CACHE": str(settings.cache)},
+    )
+    assert process.stdout is not None
+    endpoint = process.stdout.readline().strip()
+    process.kill()
+    process.wait()
+    process.stdout.close()
+
+    assert endpoint
+    wait_for(lambda: not _processes_at(endpoint), "the set to end", 15.0)
+
+
+def _processes_at(endpoint: str) -> list[str]:
+    """The processes that were told this endpoint in their environment."""
+    found = []
+    for environ in Path("/proc").glob("[0-9]*/environ"):
+        try:
+            if f"LUXLOOP_ROUTER={endpoint}" in environ.read_bytes().decode(errors="replace"):
+                found.append(environ.parent.name)
+        except OSError:  # ended while we looked
+            continue
+    return found
