@@ -1,0 +1,120 @@
+"""From the words for a stack (`luxloop.stack`) to the arrays of the kernels, and from pairs to a DBR.
+
+    gan_first, 2.5 pairs:    GaN bulk | GaN AlN GaN AlN GaN | air        R(0) 0.378
+    aln_first, 2.5 pairs:    GaN bulk | AlN GaN AlN GaN AlN | air        R(0) 0.009
+
+N.5 pairs end with the material they begin with, so half a pair more turns the mirror into an anti-reflection coating
+and back. A GaN layer on the GaN bulk is optically part of it, hence R(gan_first, p) = R(aln_first, p - 0.5).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from containers.materials import material
+from luxloop.errors import InputError
+from luxloop.model import Environment
+from luxloop.stack import Layer, Medium, Stack
+
+LayerOrder = Literal["gan_first", "aln_first"]
+AIR = Medium(n=1.0)
+GAN, ALN = 0, 1
+"""Kinds of DBR layers."""
+MAX_PAIRS = 100.0
+
+
+@dataclass(frozen=True)
+class StackRows:
+    """A stack as the kernels read it: media from the inside bulk outwards, M layers, M + 1 faces."""
+
+    wavelength_nm: NDArray[np.float64]
+    """(wavelength,), in vacuum."""
+    index: NDArray[np.complex128]
+    """(wavelength, M + 2), n + ik."""
+    thickness_nm: NDArray[np.float64]
+    """(M,)"""
+    roughness_nm: NDArray[np.float64]
+    """(M + 1,), rms height of each face."""
+    coherent: NDArray[np.bool_]
+    """(M,), False where powers are added instead of amplitudes."""
+
+    @property
+    def lossless(self) -> bool:
+        """Whether nothing absorbs and nothing scatters: no k, no roughness, all coherent."""
+        return not self.index.imag.any() and not self.roughness_nm.any() and bool(self.coherent.all())
+
+
+def resolve(stack: Stack, wavelength_nm: ArrayLike) -> StackRows:
+    """The rows of a stack at each vacuum wavelength (wavelength,) in nm; InputError out of a material's range."""
+    wavelength = np.atleast_1d(np.asarray(wavelength_nm, dtype=float))
+    media = [stack.inside, *(layer.medium for layer in stack.layers), stack.outside]
+    columns = {medium: _index(medium, wavelength) for medium in set(media)}
+    return StackRows(
+        wavelength_nm=wavelength,
+        index=np.stack([columns[medium] for medium in media], axis=-1),
+        thickness_nm=np.array([layer.thickness_nm for layer in stack.layers], dtype=float),
+        roughness_nm=np.array([stack.inside_roughness_nm, *(layer.roughness_nm for layer in stack.layers)]),
+        coherent=np.array([layer.coherent for layer in stack.layers], dtype=bool),
+    )
+
+
+def _index(medium: Medium, wavelength: NDArray[np.float64]) -> NDArray[np.complex128]:
+    if medium.material is not None:
+        return material(medium.material).index(wavelength)
+    return np.full(wavelength.shape, complex(medium.n or 0.0, medium.k))
+
+
+def dbr_layers(dbr_pairs: float, layer_order: LayerOrder = "gan_first") -> tuple[int, ...]:
+    """Kinds (GAN, ALN) of the layers of a DBR from the bulk outwards; 2 x pairs of them, 0 for a chip without DBR.
+
+    Raises
+    ------
+    InputError unless `dbr_pairs` is a multiple of 0.5 from 0 to 100 and `layer_order` is known.
+    """
+    if not 0.0 <= dbr_pairs <= MAX_PAIRS or not float(2 * dbr_pairs).is_integer():
+        raise InputError("dbr_pairs", dbr_pairs, f"a multiple of 0.5 from 0 to {MAX_PAIRS:g}")
+    if layer_order not in ("gan_first", "aln_first"):
+        raise InputError("layer_order", layer_order, "gan_first or aln_first")
+    first, second = (GAN, ALN) if layer_order == "gan_first" else (ALN, GAN)
+    return tuple(second if j % 2 else first for j in range(round(2 * dbr_pairs)))
+
+
+def dbr_stack(
+    dbr_pairs: float,
+    *,
+    gan: Medium,
+    aln: Medium,
+    gan_layer_nm: float,
+    aln_layer_nm: float,
+    layer_order: LayerOrder = "gan_first",
+    inside: Medium | None = None,
+    outside: Medium = AIR,
+    roughness_nm: float = 0.0,
+) -> Stack:
+    """The stack of a DBR between its bulk (`inside`, default: the GaN of the layers) and `outside`.
+
+    `gan`, `aln` are the media of the two kinds of layers, `gan_layer_nm`, `aln_layer_nm` their thicknesses,
+    `roughness_nm` the rms height of every face. Pairs and order as in `dbr_layers`.
+    """
+    kinds = {GAN: (gan, gan_layer_nm), ALN: (aln, aln_layer_nm)}
+    chosen = [kinds[kind] for kind in dbr_layers(dbr_pairs, layer_order)]
+    layers = [Layer(medium=medium, thickness_nm=nm, roughness_nm=roughness_nm) for medium, nm in chosen]
+    return Stack(inside=inside or gan, layers=tuple(layers), outside=outside, inside_roughness_nm=roughness_nm)
+
+
+def dbr_of(environment: Environment, dbr_pairs: float, roughness_nm: float = 0.0) -> Stack:
+    """The stack on the chip of an environment: its GaN, its layers and their order, against air (n = 1)."""
+    fixed = environment.indices == "fixed"
+    return dbr_stack(
+        dbr_pairs,
+        gan=Medium(n=environment.n_gan) if fixed else Medium(material="GaN"),
+        aln=Medium(n=environment.n_aln) if fixed else Medium(material="AlN"),
+        gan_layer_nm=environment.gan_layer_nm,
+        aln_layer_nm=environment.aln_layer_nm,
+        layer_order=environment.layer_order,
+        roughness_nm=roughness_nm,
+    )

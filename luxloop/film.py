@@ -1,0 +1,90 @@
+"""The words for work of the thin-film worker (PC2): which stack, and what is asked about it."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, ClassVar, Literal
+
+from pydantic import Field, TypeAdapter, model_validator
+
+from luxloop.effect import AppliedEffect
+from luxloop.errors import InputError
+from luxloop.model import Environment
+from luxloop.stack import Stack
+from luxloop.words import Words
+
+KIND = "film"
+
+Wavelength = Annotated[float, Field(gt=0.0, le=1e6)]
+Angle = Annotated[float, Field(ge=0.0, lt=90.0)]
+Pairs = Annotated[float, Field(ge=0.0, le=100.0, multiple_of=0.5)]
+
+
+class Spectrum(Words):
+    """A Gaussian emission line."""
+
+    peak_nm: float = Field(445.0, gt=0.0, le=10_000.0, description="Wavelength of its maximum.")
+    fwhm_nm: float = Field(18.0, gt=0.0, le=1_000.0, description="Full width at half maximum.")
+
+
+class Grid(Words):
+    """How finely a table is sampled."""
+
+    wavelengths: int = Field(61, ge=1, le=1001, description="Uniform over peak +- 2.5 FWHM; 1: the peak alone.")
+    shared_nodes: int = Field(181, ge=2, le=10_001, description="Uniform in the angle of the less dense side.")
+    dense_nodes: int = Field(120, ge=2, le=10_001, description="Beyond it, on the denser side.")
+
+    @model_validator(mode="after")
+    def _fits_in_memory(self) -> Grid:
+        values = self.wavelengths * (self.shared_nodes + self.dense_nodes)
+        if values > 1_000_000:
+            raise InputError("wavelengths", values, "wavelengths x nodes up to 1,000,000", "ask for a coarser grid")
+        return self
+
+
+class _FilmRequest(Words):
+    """What all film requests have: a stack as it stands, or the DBR of an environment; effects on it."""
+
+    KIND: ClassVar[str] = KIND
+
+    stack: Stack | None = None
+    environment: Environment | None = None
+    dbr_pairs: Pairs | None = None
+    effects: tuple[AppliedEffect, ...] = Field((), max_length=64)
+
+    @model_validator(mode="after")
+    def _one_film(self) -> _FilmRequest:
+        dbr = self.environment is not None and self.dbr_pairs is not None
+        if (self.stack is not None) == dbr or (self.stack is not None and self.environment is not None):
+            raise InputError("stack", self.stack, "a stack, or an environment with dbr_pairs", "give one of the two")
+        return self
+
+
+class FilmTableRequest(_FilmRequest):
+    """The table of powers against u and wavelength that a tracer needs; answered by its hash and its averages."""
+
+    what: Literal["table"] = "table"
+    spectrum: Spectrum = Spectrum()
+    grid: Grid = Grid()
+
+
+class FilmMeasurementRequest(_FilmRequest):
+    """What an instrument would read: answered by an array `value` (wavelength, aoi)."""
+
+    what: Literal["measurement"] = "measurement"
+    quantity: Literal["R", "T", "psi", "delta"]
+    wavelength_nm: tuple[Wavelength, ...] = Field(min_length=1, max_length=10_000)
+    aoi_deg: tuple[Angle, ...] = Field(min_length=1, max_length=10_000)
+    polarisation: Literal["s", "p", "u"] = "u"
+    bandwidth_nm: float = Field(0.0, ge=0.0, le=1_000.0)
+    from_side: Literal["outside", "inside"] = "outside"
+
+    @model_validator(mode="after")
+    def _fits_in_memory(self) -> FilmMeasurementRequest:
+        values = len(self.wavelength_nm) * len(self.aoi_deg)
+        if values > 1_000_000:
+            raise InputError("wavelength_nm", values, "wavelengths x angles up to 1,000,000", "ask in parts")
+        return self
+
+
+FilmRequest = Annotated[FilmTableRequest | FilmMeasurementRequest, Field(discriminator="what")]
+FILM_REQUEST: TypeAdapter[Any] = TypeAdapter(FilmRequest)
