@@ -129,6 +129,10 @@ class Client:
             pool.shutdown(wait=True, cancel_futures=True)
             self._closing.clear()
 
+    def fetch(self, sha256: str, size: int) -> bytes:
+        """The blob of `size` bytes with this hash, from whoever holds it. Raises RemoteError not_found."""
+        return self._fetch(sha256, size)
+
     def withdraw(self, request: Request | Task) -> None:
         """Take a wish back; the task is cancelled unless somebody else waits for it."""
         withdraw = Withdraw(task_id=as_task(request).id)

@@ -64,7 +64,6 @@ def load_settings(**given: object) -> Settings:
 
 
 def as_environment(settings: Settings) -> dict[str, str]:
-    """The environment for a child process that must see the same settings, one thread per numeric library."""
+    """The environment for a child process that must see the same settings."""
     ours = {f"LUXLOOP_{name.upper()}": str(value) for name, value in settings.model_dump(mode="json").items()}
-    threads = {name: os.environ.get(name, "1") for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")}
-    return {**os.environ, **threads, **ours}
+    return {**os.environ, **ours}

@@ -13,9 +13,9 @@ from pathlib import Path
 import pytest
 
 from luxloop.bus import Bus
-from tests.local_bus import LocalBus, LocalRouter
 from luxloop.bus.zenoh_bus import ZenohBus
 from luxloop.settings import Settings, as_environment
+from tests.local_bus import LocalBus, LocalRouter
 
 
 def free_endpoint() -> str:
@@ -91,4 +91,4 @@ def _listens(settings: Settings) -> bool:
         return probe.connect_ex((host, int(port))) == 0
 
 
-os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("LUXLOOP_KERNELS", str(Path("~/.cache/luxloop/kernels").expanduser()))  # compiled at set-up

@@ -26,7 +26,7 @@ class Sleepy:
         """Nothing worth telling."""
         return {"what": ["nothing", "nap", "nap deaf", "hold gil", "die", "crash", "refuse", "nan", "big"]}
 
-    def blob(self, sha256: str) -> bytes | None:
+    def blob(self, sha256: str) -> bytes | None:  # noqa: ARG002  the protocol has it
         """No store of its own."""
         return None
 

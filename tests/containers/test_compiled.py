@@ -43,7 +43,7 @@ def test_compiled_code_is_kept_in_the_cache_and_follows_its_source(tmp_path: Pat
         "@kernel\ndef twice(x: float) -> float:\n    return double(double(x))\n"
     )
     call = "import outer; print(outer.twice(1.0), sum(outer.twice.stats.cache_hits.values()))"
-    settings = {"LUXLOOP_CACHE": str(cache), "NUMBA_CACHE_DIR": ""}
+    settings = {"LUXLOOP_CACHE": str(cache), "LUXLOOP_KERNELS": "", "NUMBA_CACHE_DIR": ""}
     assert run(source, call, **settings) == "4.0 0"
     assert run(source, call, **settings) == "4.0 1"
     (source / "inner.py").write_text(DOUBLE.format(factor=3.0))

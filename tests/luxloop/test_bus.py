@@ -219,7 +219,7 @@ def test_100_mb_to_a_zenoh_party_leave_it_alive(router: object, settings: Settin
 
 
 def test_everything_comes_back_after_a_router_restart(router: subprocess.Popen[bytes], settings: Settings) -> None:
-    """Tokens, queryables and subscriptions of patient sessions work again after the router was killed and restarted."""
+    """Tokens and queryables of patient sessions work again after the router was killed and restarted."""
     token = at("luxloop", "alive", role="controller", kind="controller", name="c1")
     with ZenohBus(settings, patient=True) as server, ZenohBus(settings, patient=True) as client:
         server.announce(token)

@@ -1,0 +1,47 @@
+# Everything happens in a private environment, .venv; a fresh machine needs Python 3.11 (or newer) and make.
+PYTHON ?= $(shell command -v python3.11 || command -v python3)
+BIN := .venv/bin
+
+.PHONY: help run test test-fast lint bench clean
+
+help:
+	@echo "make run        set up, compute the paper's eleven DBR tables with real worker processes, draw them"
+	@echo "make test       set up, run all tests"
+	@echo "make test-fast  the same without the slow ones"
+	@echo "make lint       ruff, mypy, import rules"
+	@echo "make bench      every benchmark, one table each (minutes)"
+
+run: .venv/.run
+	$(BIN)/luxloop film --pairs 4.5:9.5:0.5 --tables --plot film.png
+
+test: .venv/.dev
+	$(BIN)/python -m pytest -q
+
+test-fast: .venv/.dev
+	$(BIN)/python -m pytest -q -m "not slow"
+
+lint: .venv/.dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+bench: .venv/.dev
+	@set -e; for file in benchmarks/*.py; do echo; echo "== $$file"; $(BIN)/python $$file; done
+
+.venv/pyvenv.cfg:
+	@test -n "$(PYTHON)" || { echo "make: no python3.11 found; set PYTHON=/path/to/python3.11"; exit 1; }
+	$(PYTHON) -m venv .venv
+
+.venv/.run: pyproject.toml constraints.txt | .venv/pyvenv.cfg
+	$(BIN)/python -m pip install -q -c constraints.txt -e ".[all]"
+	$(BIN)/python -c "from containers.thin_film import warm_up; warm_up()"
+	@touch $@
+
+.venv/.dev: pyproject.toml constraints.txt | .venv/pyvenv.cfg
+	$(BIN)/python -m pip install -q -c constraints.txt -e ".[dev]"
+	$(BIN)/python -c "from containers.thin_film import warm_up; warm_up()"
+	@touch $@ .venv/.run
+
+clean:
+	rm -rf .venv .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

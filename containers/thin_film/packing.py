@@ -1,0 +1,61 @@
+"""A film table as bytes: a JSON header and named arrays in one deterministic encoding, whose SHA-256 is its address.
+
+"LXF1" | header bytes u32 | header (canonical JSON, describes the arrays) | arrays, raw little-endian, in order
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Mapping
+from math import prod
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from luxloop.errors import InputError
+from luxloop.words import canonical
+
+MAGIC = b"LXF1"
+DTYPES = ("<f8", "<f4")
+MAX_BYTES = 64 << 20
+
+
+def pack(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> bytes:
+    """The bytes of a header (JSON values) and arrays (float64 or float32); the same input gives the same bytes."""
+    described, raws = [], []
+    for name, array in sorted(arrays.items()):
+        dtype = array.dtype.newbyteorder("<").str
+        if dtype not in DTYPES:
+            raise InputError(name, array.dtype.str, "one of " + ", ".join(DTYPES))
+        described.append([name, dtype, list(array.shape)])
+        raws.append(np.ascontiguousarray(array, dtype=dtype).tobytes())
+    text = canonical({"header": dict(header), "arrays": described})
+    return b"".join([MAGIC, struct.pack("<I", len(text)), text, *raws])
+
+
+def unpack(packed: bytes) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    """Header and arrays of `pack`. Raises InputError where bytes are missing, too many, or no packed table."""
+    if not 8 <= len(packed) <= MAX_BYTES or packed[:4] != MAGIC:
+        raise InputError("table", packed[:8], f"a packed film table of at most {MAX_BYTES} bytes")
+    (size,) = struct.unpack_from("<I", packed, 4)
+    try:
+        text = json.loads(packed[8 : 8 + size])
+        header = dict(text["header"])
+        described = [(str(name), str(dtype), [int(n) for n in shape]) for name, dtype, shape in text["arrays"]]
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        raise InputError("table", packed[8:40], "a packed film table", "its header cannot be read") from error
+    arrays, offset = {}, 8 + size
+    for name, dtype, shape in described:
+        if dtype not in DTYPES or min(shape, default=0) < 0 or prod(shape) * 4 > MAX_BYTES:
+            raise InputError(f"table.{name}", (dtype, shape), f"dtype in {DTYPES}, sizes not below 0")
+        count = prod(shape)
+        end = offset + count * int(dtype[2])
+        if end > len(packed):
+            raise InputError(f"table.{name}", f"{len(packed)} bytes", f"at least {end} bytes", "it was cut short")
+        arrays[name] = np.frombuffer(packed, dtype=dtype, count=count, offset=offset).reshape(shape)
+        offset = end
+    if offset != len(packed):
+        raise InputError("table", f"{len(packed)} bytes", f"{offset} bytes as its header says")
+    return header, arrays

@@ -1,0 +1,132 @@
+"""PC2's work: film tables out of the database or computed, and film measurements."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import ValidationError
+
+from containers.materials import list_materials
+from containers.stack import dbr_of
+from containers.thin_film import warm_up
+from containers.thin_film.database import FilmDatabase, open_database
+from containers.thin_film.film_measurement import measure
+from containers.thin_film.packing import pack, unpack
+from containers.thin_film.table import SIDES, VERSION, FilmTable, film_table
+from luxloop.bus.frame import Array
+from luxloop.errors import RemoteError
+from luxloop.film import FILM_REQUEST, KIND, FilmMeasurementRequest, FilmTableRequest
+from luxloop.messages import Failure
+from luxloop.stack import Stack
+from luxloop.words import as_input_error, sha256_of
+from luxloop.worker import Progress
+
+DATABASE = "films.sqlite"
+
+
+class FilmComputation:
+    """What makes a worker the thin-film worker; `database` is its own file."""
+
+    kind = KIND
+
+    def __init__(self, database: FilmDatabase) -> None:
+        self._database = database
+        warm_up()
+
+    @classmethod
+    def in_folder(cls, folder: Path) -> FilmComputation:
+        """With the database in a folder, made where it is not there yet."""
+        folder.mkdir(parents=True, exist_ok=True)
+        return cls(open_database(folder / DATABASE))
+
+    def catalogue(self) -> dict[str, Any]:
+        """What can be asked, which materials and effects are known."""
+        return {"what": ["table", "measurement"], "materials": list(list_materials()), "effects": []}
+
+    def blob(self, sha256: str) -> bytes | None:
+        """A packed table by its hash."""
+        return self._database.blob(sha256)
+
+    def compute(self, inputs: dict[str, Any], progress: Progress) -> tuple[dict[str, Any], Mapping[str, Array]]:
+        """The answer to a `FilmTableRequest` or a `FilmMeasurementRequest`."""
+        try:
+            request = FILM_REQUEST.validate_python(inputs)
+        except ValidationError as error:
+            raise as_input_error(error, "film request") from error
+        stack = film_of(request)
+        progress.report(0.0, str(stack)[:100])
+        if isinstance(request, FilmMeasurementRequest):
+            return self._measure(request, stack)
+        return self._table(request, stack)
+
+    def _measure(self, request: FilmMeasurementRequest, stack: Stack) -> tuple[dict[str, Any], Mapping[str, Array]]:
+        value = measure(
+            stack,
+            request.quantity,
+            request.wavelength_nm,
+            request.aoi_deg,
+            request.polarisation,
+            request.bandwidth_nm,
+            request.from_side,
+        )
+        return {"stack": str(stack), "quantity": request.quantity}, {"value": value}
+
+    def _table(self, request: FilmTableRequest, stack: Stack) -> tuple[dict[str, Any], Mapping[str, Array]]:
+        """By its key from the database; computed and kept where it is not there, or no longer what it was."""
+        key = table_key(request, stack)
+        held = self._database.get(key)
+        if held is None:
+            table = film_table(stack, request.spectrum, request.grid)
+            packed = pack(*table.to_parts())
+            sha256 = self._database.put(key, packed)
+        else:
+            sha256, packed = held
+            table = FilmTable.from_parts(*unpack(packed))
+        result = {"stack": str(stack), "table_sha256": sha256, "table_bytes": len(packed), "known": held is not None}
+        return result, averages(table)
+
+
+def table_key(request: FilmTableRequest, stack: Stack) -> str:
+    """SHA-256 of all that decides a table: the stack as it is computed, line, grid, and the physics' version."""
+    return sha256_of(
+        {
+            "stack": stack.model_dump(mode="json"),
+            "spectrum": request.spectrum.model_dump(mode="json"),
+            "grid": request.grid.model_dump(mode="json"),
+            "version": VERSION,
+        }
+    )
+
+
+def averages(table: FilmTable) -> dict[str, Array]:
+    """What a table says of unpolarised light of the whole line: u (node,), R and T of both sides."""
+    arrays: dict[str, Array] = {"u": table.u}
+    for side in SIDES:
+        powers = table.average(side)
+        arrays[f"R_{side}"] = np.asarray(powers.R)
+    arrays["T"] = np.asarray(table.average("outside").T)
+    return arrays
+
+
+def film_of(request: FilmTableRequest | FilmMeasurementRequest) -> Stack:
+    """The stack that a request is about, its effects applied. Raises RemoteError for an effect not known here."""
+    if request.effects:
+        names = ", ".join(effect.name for effect in request.effects)
+        raise RemoteError(
+            Failure(
+                code="unknown_effect",
+                message=f"the thin-film worker knows no effect {names}",
+                field="effects",
+                value=names,
+                allowed="none in this release",
+                mend="take the effects out of the model file",
+            )
+        )
+    if request.stack is not None:
+        return request.stack
+    if request.environment is None or request.dbr_pairs is None:  # refused when the request was read
+        raise ValueError("a film request without a film")
+    return dbr_of(request.environment, request.dbr_pairs)
