@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import socket
 import subprocess
 import sys
@@ -15,6 +16,7 @@ from luxloop.client import Client
 from luxloop.errors import RemoteError
 from luxloop.settings import Settings, as_environment
 
+os.environ.setdefault("LUXLOOP_KERNELS", str(Path("~/.cache/luxloop/kernels").expanduser()))  # compiled at set-up
 SLEEPY = str(Path(__file__).parents[1] / "tests" / "sleepy_worker.py")
 THIN_FILM = ("-m", "luxloop", "serve", "thin-film", "--quiet")
 

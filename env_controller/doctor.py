@@ -78,7 +78,7 @@ def _disk(settings: Settings) -> Iterator[Finding]:
     yield Finding("cache folder", "fail" if few else "ok", f"{folder}, {free_gb:.1f} GB free", mend)
     shared = Path("/dev") / "shm"
     if shared.is_dir() and shutil.disk_usage(shared).free < 16e6:
-        yield Finding("/dev/shm", "warn", "less than 16 MB free")
+        yield Finding(str(shared), "warn", "less than 16 MB free")
 
 
 def _set(settings: Settings) -> Iterator[Finding]:

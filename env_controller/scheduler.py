@@ -12,8 +12,9 @@ older is fenced. `story` tells what happened to a task.
 from __future__ import annotations
 
 from collections import OrderedDict
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import singledispatchmethod
+from typing import Any
 
 from env_controller import events as e
 
@@ -67,13 +68,25 @@ class Scheduler:
         self.polls: dict[int, str] = {}  # held polls in the order in which they came -> worker
         self.counts = {"done": 0, "failed": 0, "requeued": 0, "fenced": 0}
         self._stories: OrderedDict[str, list[str]] = OrderedDict()
+        self._rules: dict[type[e.Event], Callable[[Any], list[e.Command]]] = {
+            e.Submitted: self._submitted,
+            e.Withdrawn: self._withdrawn,
+            e.Joined: self._joined,
+            e.Left: self._left,
+            e.Polled: self._polled,
+            e.PollOver: self._poll_over,
+            e.Delivered: self._delivered,
+            e.HandedBack: self._handed_back,
+            e.Beat: self._beat,
+            e.Tick: self._tick,
+        }
 
     def handle(self, event: e.Event) -> list[e.Command]:
         """The commands that follow from one event."""
         worker = self.workers.get(getattr(event, "worker", ""))
         if worker is not None:
             worker.heard_s = event.at_s
-        return self._on(event)
+        return self._rules[type(event)](event)
 
     def story(self, task_id: str) -> list[str]:
         """What happened to a task, one line each, oldest first; empty where it is not known (any more)."""
@@ -84,11 +97,6 @@ class Scheduler:
         """The leases of one worker."""
         return [lease for lease in self.leases.values() if lease.worker == worker]
 
-    @singledispatchmethod
-    def _on(self, event: e.Event) -> list[e.Command]:
-        raise TypeError(f"no rule for {event!r}")
-
-    @_on.register
     def _submitted(self, event: e.Submitted) -> list[e.Command]:
         if event.task_id in self.tasks:
             task = self.tasks[event.task_id]
@@ -100,7 +108,6 @@ class Scheduler:
         self._make_ready(task)
         return self._match(event.kind, event.at_s)
 
-    @_on.register
     def _withdrawn(self, event: e.Withdrawn) -> list[e.Command]:
         task = self.tasks.get(event.task_id)
         if task is None:
@@ -109,17 +116,14 @@ class Scheduler:
         stop: list[e.Command] = [e.Stop(lease.worker, lease.task_id, lease.attempt)] if lease else []
         return [*stop, self._end(task, event.at_s, "cancelled")]
 
-    @_on.register
     def _joined(self, event: e.Joined) -> list[e.Command]:
         commands = self._forget(event.worker, event.at_s, "it introduced itself anew")
         self.workers[event.worker] = WorkerRecord(event.worker, event.kind, event.slots, event.at_s)
         return commands
 
-    @_on.register
     def _left(self, event: e.Left) -> list[e.Command]:
         return self._forget(event.worker, event.at_s, event.reason)
 
-    @_on.register
     def _polled(self, event: e.Polled) -> list[e.Command]:
         worker = self.workers.get(event.worker)
         if worker is None:
@@ -137,11 +141,9 @@ class Scheduler:
             commands.append(e.Release(event.poll))
         return commands
 
-    @_on.register
     def _poll_over(self, event: e.PollOver) -> list[e.Command]:
         return [e.Release(event.poll)] if self.polls.pop(event.poll, None) is not None else []
 
-    @_on.register
     def _delivered(self, event: e.Delivered) -> list[e.Command]:
         refusal = self._fence(event.worker, event.task_id, event.attempt, event.epoch)
         receive = e.Receive(event.worker, event.task_id, event.attempt, not refusal, refusal)
@@ -154,7 +156,6 @@ class Scheduler:
         self.workers[event.worker].finished += 1
         return [receive, self._end(self.tasks[event.task_id], event.at_s, event.verdict)]
 
-    @_on.register
     def _handed_back(self, event: e.HandedBack) -> list[e.Command]:
         refusal = self._fence(event.worker, event.task_id, event.attempt, event.epoch)
         receive = e.Receive(event.worker, event.task_id, event.attempt, not refusal, refusal)
@@ -162,12 +163,10 @@ class Scheduler:
             return [receive]
         return [receive, *self._requeue(self.leases[event.task_id], event.at_s, "handed back", blame=False)]
 
-    @_on.register
     def _beat(self, event: e.Beat) -> list[e.Command]:
         worker = self.workers.get(event.worker)
         return self._match(worker.kind, event.at_s) if worker else []
 
-    @_on.register
     def _tick(self, event: e.Tick) -> list[e.Command]:
         commands: list[e.Command] = []
         for lease in list(self.leases.values()):

@@ -13,8 +13,7 @@ import signal
 import threading
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any
 from uuid import uuid4
 
 import numpy as np
@@ -24,6 +23,7 @@ from luxloop.bus import Asked, Bus, Heard, Inbox, Interrupt, ask_for
 from luxloop.bus.blobs import serve_piece
 from luxloop.bus.frame import Array, decode, encode
 from luxloop.bus.keys import KEYS, at
+from luxloop.computation import Computation, Progress, Stopped
 from luxloop.errors import LuxloopError, RemoteError
 from luxloop.messages import (
     Cancel,
@@ -44,43 +44,6 @@ from luxloop.store import BlobStore
 FINISH_S = 2.5
 LEAVE_S = 4.0
 WAITABLE = ("no_router", "no_controller", "timed_out", "busy", "refused", "cancelled")
-
-
-class Stopped(Exception):  # noqa: N818  not an error: the task was cancelled, or the worker leaves
-    """Raised at a checkpoint of the computation."""
-
-
-@dataclass
-class Progress:
-    """How far a computation is; it reports here between chunks, and is stopped here."""
-
-    ratio: float = 0.0
-    note: str = ""
-    stop: threading.Event = field(default_factory=threading.Event)
-
-    def report(self, ratio: float, note: str = "") -> None:
-        """Note how far it is (0 to 1); raises Stopped where it is to end."""
-        self.ratio, self.note = min(max(ratio, 0.0), 1.0), note[:200]
-        if self.stop.is_set():
-            raise Stopped
-
-
-class Computation(Protocol):
-    """What makes a worker a film worker or a ray worker."""
-
-    kind: str
-
-    def catalogue(self) -> dict[str, Any]:
-        """What it can do, told to the controller once."""
-        ...
-
-    def compute(self, inputs: dict[str, Any], progress: Progress) -> tuple[dict[str, Any], Mapping[str, Array]]:
-        """The result and its arrays. Raises InputError for a request that cannot be used."""
-        ...
-
-    def blob(self, sha256: str) -> bytes | None:
-        """A blob of its own store, beside those sent as large arrays."""
-        ...
 
 
 class Worker:

@@ -12,9 +12,10 @@ import numpy as np
 
 from luxloop.bus.frame import Array
 from luxloop.bus.zenoh_bus import ZenohBus
+from luxloop.computation import Progress
 from luxloop.errors import InputError
 from luxloop.settings import load_settings
-from luxloop.worker import Progress, Worker
+from luxloop.worker import Worker
 
 
 class Sleepy:

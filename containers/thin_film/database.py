@@ -1,8 +1,9 @@
 """The film database of PC2: packed tables by their SHA-256, found by the key of the request; one SQLite file in WAL.
 
-A write is one transaction, so a process killed in the middle of it leaves the database as it was. What is read is
-hashed again: an entry that does not match is dropped and reported as missing, and the worker computes it anew. One
-connection behind a lock: threads of one process may share an object, processes may share the file.
+A write is one transaction, so a process killed in the middle of it leaves the database as it was (synchronous =
+NORMAL: a power cut may also take the last writes, which can be computed again). What is read is hashed again: an
+entry that does not match is dropped and reported as missing, and the worker computes it anew. One connection behind
+a lock: threads of one process may share an object; processes may share the file, a writer waits 10 s for another.
 """
 
 from __future__ import annotations
@@ -20,16 +21,24 @@ MAX_BYTES = 1 << 30
 SCHEMA = 1
 APPLICATION = 0x4C58464C  # "LXFL", so that another program's SQLite file is recognised
 TABLES = """
-CREATE TABLE IF NOT EXISTS blobs (sha256 TEXT PRIMARY KEY, packed BLOB NOT NULL, used_unix_s REAL NOT NULL);
-CREATE TABLE IF NOT EXISTS films (key TEXT PRIMARY KEY, sha256 TEXT NOT NULL);
-CREATE INDEX IF NOT EXISTS films_by_blob ON films (sha256);
+CREATE TABLE blobs (sha256 TEXT PRIMARY KEY, packed BLOB NOT NULL);
+CREATE TABLE uses (sha256 TEXT PRIMARY KEY, bytes INTEGER NOT NULL, used_unix_s REAL NOT NULL) WITHOUT ROWID;
+CREATE TABLE films (key TEXT PRIMARY KEY, sha256 TEXT NOT NULL) WITHOUT ROWID;
+CREATE INDEX films_by_blob ON films (sha256)
 """
+PAGE_BYTES = 16384
+CHECKPOINT_PAGES = 256
+WAL_BYTES = 16 << 20
+BUSY_S = 10.0
+HEX = frozenset("0123456789abcdef")
 
 
 class FilmDatabase:
-    """An open database; `corrupted` counts entries that were dropped because they did not match their hash."""
+    """An open database; `corrupted` counts the entries that could not be read back as they were written."""
 
     def __init__(self, path: Path, max_bytes: int = MAX_BYTES) -> None:
+        if max_bytes <= 0:
+            raise InputError("max_bytes", max_bytes, "above 0")
         self._path, self._max_bytes = path, max_bytes
         self._lock = threading.RLock()
         self._used: set[str] = set()
@@ -39,45 +48,52 @@ class FilmDatabase:
     def get(self, key: str) -> tuple[str, bytes] | None:
         """(hash, packed table) of a request's key, or None where it is not there or no longer what it was."""
         with self._lock:
-            row = self._connection.execute("SELECT sha256 FROM films WHERE key = ?", (key,)).fetchone()
-            packed = self.blob(row[0]) if row else None
-            return (str(row[0]), packed) if packed is not None else None
+            found = self._read("SELECT sha256 FROM films WHERE key = ?", _hex("key", key))
+            packed = self.blob(str(found)) if found is not None else None
+            return (str(found), packed) if packed is not None else None
 
     def blob(self, sha256: str) -> bytes | None:
         """The packed table with this hash, or None."""
         with self._lock:
-            row = self._connection.execute("SELECT packed FROM blobs WHERE sha256 = ?", (sha256,)).fetchone()
-            if row is None:
+            packed = self._read("SELECT packed FROM blobs WHERE sha256 = ?", _hex("sha256", sha256))
+            if packed is None:
                 return None
-            packed = bytes(row[0])
-            if hashlib.sha256(packed).hexdigest() != sha256:
-                self._drop(sha256)
+            if not isinstance(packed, bytes) or hashlib.sha256(packed).hexdigest() != sha256:
+                self.corrupted += 1
+                with self._connection:
+                    self._drop(sha256)
                 return None
             self._used.add(sha256)
             return packed
 
     def put(self, key: str, packed: bytes) -> str:
-        """Keep a packed table under a request's key; its hash."""
-        sha256 = hashlib.sha256(packed).hexdigest()
-        now = time.time()
+        """Keep a packed table under a request's key; its hash. The least recently used go when the bound is passed.
+
+        Raises InputError for a key that is no SHA-256 or a table above the bound, sqlite3.Error where the disk fails.
+        """
+        if len(packed) > self._max_bytes:
+            raise InputError("table", f"{len(packed)} bytes", f"at most max_bytes = {self._max_bytes}")
+        sha256, now = hashlib.sha256(packed).hexdigest(), time.time()
         with self._lock, self._connection:
-            self._connection.execute("INSERT OR REPLACE INTO blobs VALUES (?, ?, ?)", (sha256, packed, now))
-            self._connection.execute("INSERT OR REPLACE INTO films VALUES (?, ?)", (key, sha256))
-            self._note_use(now)
+            # a write comes first, so that the transaction waits for another process instead of failing half way
+            self._connection.execute("INSERT OR REPLACE INTO films VALUES (?, ?)", (_hex("key", key), sha256))
+            self._connection.execute("INSERT OR IGNORE INTO blobs VALUES (?, ?)", (sha256, packed))
+            self._connection.execute("INSERT OR REPLACE INTO uses VALUES (?, ?, ?)", (sha256, len(packed), now))
+            self._note_uses(now)
             self._evict(keep=sha256)
         return sha256
 
     def entries(self) -> list[tuple[str, str, int]]:
         """(key, hash, bytes) of every entry."""
         with self._lock:
-            query = "SELECT key, films.sha256, length(packed) FROM films JOIN blobs USING (sha256) ORDER BY key"
+            query = "SELECT key, sha256, bytes FROM films JOIN uses USING (sha256) ORDER BY key"
             return [(str(key), str(sha256), int(size)) for key, sha256, size in self._connection.execute(query)]
 
     def close(self) -> None:
         """Write the noted uses and let go of the file."""
         with self._lock:
             with self._connection:
-                self._note_use(time.time())
+                self._note_uses(time.time())
             self._connection.close()
 
     def __enter__(self) -> FilmDatabase:
@@ -88,68 +104,102 @@ class FilmDatabase:
     ) -> None:
         self.close()
 
-    def _drop(self, sha256: str) -> None:
-        self.corrupted += 1
-        with self._connection:
-            self._connection.execute("DELETE FROM blobs WHERE sha256 = ?", (sha256,))
-            self._connection.execute("DELETE FROM films WHERE sha256 = ?", (sha256,))
+    def _read(self, query: str, value: str) -> object:
+        """The one value found, or None; None too, and counted, where the pages of the file are damaged."""
+        try:
+            found = self._connection.execute(query, (value,)).fetchone()
+        except sqlite3.OperationalError:  # busy, disk gone: not the entry's fault
+            raise
+        except sqlite3.DatabaseError:
+            self.corrupted += 1
+            return None
+        return found[0] if found else None
 
-    def _note_use(self, now: float) -> None:
+    def _drop(self, sha256: str) -> None:
+        for table in ("blobs", "uses", "films"):
+            self._connection.execute(f"DELETE FROM {table} WHERE sha256 = ?", (sha256,))  # noqa: S608  # our own names
+
+    def _note_uses(self, now: float) -> None:
         """Uses are noted with the next write: a write for each read would cost more than the read."""
-        self._connection.executemany(
-            "UPDATE blobs SET used_unix_s = ? WHERE sha256 = ?", [(now, sha256) for sha256 in self._used]
-        )
+        query = "UPDATE uses SET used_unix_s = ? WHERE sha256 = ?"
+        self._connection.executemany(query, [(now, sha256) for sha256 in self._used])
         self._used.clear()
 
     def _evict(self, keep: str) -> None:
-        """Drop the least recently used tables until the rest is within the bound."""
-        (total,) = self._connection.execute("SELECT coalesce(sum(length(packed)), 0) FROM blobs").fetchone()
-        query = "SELECT sha256, length(packed) FROM blobs WHERE sha256 != ? ORDER BY used_unix_s"
-        for sha256, size in self._connection.execute(query, (keep,)).fetchall() if total > self._max_bytes else ():
-            self._connection.execute("DELETE FROM blobs WHERE sha256 = ?", (sha256,))
-            self._connection.execute("DELETE FROM films WHERE sha256 = ?", (sha256,))
+        (total,) = self._connection.execute("SELECT sum(bytes) FROM uses").fetchone()
+        if total <= self._max_bytes:
+            return
+        query = "SELECT sha256, bytes FROM uses WHERE sha256 != ? ORDER BY used_unix_s"
+        for sha256, size in self._connection.execute(query, (keep,)).fetchall():
+            self._drop(sha256)
             total -= size
             if total <= self._max_bytes:
                 return
 
 
 def open_database(path: Path, max_bytes: int = MAX_BYTES) -> FilmDatabase:
-    """The database at `path`, made where there is none.
+    """The database at `path`, made where there is none; its tables together hold at most `max_bytes`.
 
-    Raises InputError for a file that is not a film database, is of another schema, or cannot be written.
+    Raises InputError for a file that is not a film database, is of a newer schema, or cannot be written.
     """
     return FilmDatabase(path, max_bytes)
 
 
 def _connect(path: Path) -> sqlite3.Connection:
-    connection = None
     try:
-        connection = sqlite3.connect(path, timeout=10.0, check_same_thread=False)
-        version, application = (
-            connection.execute(f"PRAGMA {n}").fetchone()[0] for n in ("user_version", "application_id")
-        )
-        fresh = connection.execute("SELECT count(*) FROM sqlite_master").fetchone()[0] == 0
-        if not fresh and application != APPLICATION:
-            raise InputError(
-                "film database", str(path), "a luxloop film database", "it is another program's: move it"
-            )
-        if not fresh and version != SCHEMA:
-            raise InputError("film database", f"{path} of schema {version}", f"schema {SCHEMA}", "move it away")
-        connection.execute("PRAGMA journal_mode = WAL")
-        connection.execute("PRAGMA synchronous = NORMAL")
-        with connection:
-            connection.executescript(TABLES)
-            connection.execute(f"PRAGMA application_id = {APPLICATION}")
-            connection.execute(f"PRAGMA user_version = {SCHEMA}")
+        connection = sqlite3.connect(path, timeout=BUSY_S, check_same_thread=False)
     except sqlite3.Error as error:
-        if connection is not None:
-            connection.close()
-        mend = "move it away; it is made anew" if "not a database" in str(error) else "choose a folder you may write"
-        raise InputError(
-            "film database", str(path), "a SQLite file that can be written", f"{error}; {mend}"
-        ) from error
+        raise _unusable(path, error) from error
+    try:
+        _is_new(connection, path)  # before anything in another program's file is changed
+        connection.execute(f"PRAGMA page_size = {PAGE_BYTES}")
+        connection.execute("PRAGMA journal_mode = WAL")
+        connection.execute(f"PRAGMA wal_autocheckpoint = {CHECKPOINT_PAGES}")
+        connection.execute("PRAGMA synchronous = NORMAL")
+        connection.execute(f"PRAGMA journal_size_limit = {WAL_BYTES}")
+        _make_or_check(connection, path)
+    except sqlite3.Error as error:
+        connection.close()
+        raise _unusable(path, error) from error
     except InputError:
-        if connection is not None:
-            connection.close()
+        connection.close()
         raise
     return connection
+
+
+def _make_or_check(connection: sqlite3.Connection, path: Path) -> None:
+    """Make the tables, or see that they are ours: one transaction, since another process may be at the same place."""
+    with connection:
+        # needs the right to write, so that a read-only file is found now and not with the first table
+        connection.execute("BEGIN IMMEDIATE")
+        if _is_new(connection, path):
+            for statement in TABLES.split(";"):
+                connection.execute(statement)
+            connection.execute(f"PRAGMA application_id = {APPLICATION}")
+            connection.execute(f"PRAGMA user_version = {SCHEMA}")
+
+
+def _is_new(connection: sqlite3.Connection, path: Path) -> bool:
+    """Whether there are no tables yet; InputError where there are and they are not ours."""
+    schema, application, tables = (
+        connection.execute(query).fetchone()[0]
+        for query in ("PRAGMA user_version", "PRAGMA application_id", "SELECT count(*) FROM sqlite_master")
+    )
+    if tables and application != APPLICATION:
+        raise InputError("film database", str(path), "a luxloop film database", "it is another program's: move it")
+    if tables and schema != SCHEMA:
+        mend = "it was written by another release: use that, or move it away; what it holds is computed again"
+        raise InputError("film database", f"{path} of schema {schema}", f"schema {SCHEMA}", mend)
+    return not tables
+
+
+def _unusable(path: Path, error: sqlite3.Error) -> InputError:
+    damaged = "not a database" in str(error) or "malformed" in str(error)
+    mend = "move it away; what it holds is computed again" if damaged else "choose a file and folder you may write"
+    return InputError("film database", str(path), "a SQLite file that can be written", f"{error}; {mend}")
+
+
+def _hex(field: str, value: str) -> str:
+    if len(value) != 64 or not set(value) <= HEX:
+        raise InputError(field, value, "a SHA-256, 64 lower-case hex digits")
+    return value

@@ -1,6 +1,9 @@
 """A film table as bytes: a JSON header and named arrays in one deterministic encoding, whose SHA-256 is its address.
 
-"LXF1" | header bytes u32 | header (canonical JSON, describes the arrays) | arrays, raw little-endian, in order
+    "LXF1" | header bytes u32 | header (canonical JSON, describes the arrays), blanks to a multiple of 8 | arrays, raw
+
+Arrays are little-endian, float64 before float32 and then by name, so that each begins at a multiple of its size.
+Nothing is unpickled; every length is checked before it is used.
 """
 
 from __future__ import annotations
@@ -20,19 +23,24 @@ from luxloop.words import canonical
 MAGIC = b"LXF1"
 DTYPES = ("<f8", "<f4")
 MAX_BYTES = 64 << 20
+MAX_AXES = 8
 
 
 def pack(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> bytes:
     """The bytes of a header (JSON values) and arrays (float64 or float32); the same input gives the same bytes."""
     described, raws = [], []
-    for name, array in sorted(arrays.items()):
+    for name, array in sorted(arrays.items(), key=lambda item: (-item[1].dtype.itemsize, item[0])):
         dtype = array.dtype.newbyteorder("<").str
         if dtype not in DTYPES:
             raise InputError(name, array.dtype.str, "one of " + ", ".join(DTYPES))
         described.append([name, dtype, list(array.shape)])
         raws.append(np.ascontiguousarray(array, dtype=dtype).tobytes())
     text = canonical({"header": dict(header), "arrays": described})
-    return b"".join([MAGIC, struct.pack("<I", len(text)), text, *raws])
+    text += b" " * (-(len(text) + 8) % 8)
+    packed = b"".join([MAGIC, struct.pack("<I", len(text)), text, *raws])
+    if len(packed) > MAX_BYTES:
+        raise InputError("table", f"{len(packed)} bytes", f"at most {MAX_BYTES} bytes", "use a coarser grid")
+    return packed
 
 
 def unpack(packed: bytes) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
@@ -48,8 +56,10 @@ def unpack(packed: bytes) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
         raise InputError("table", packed[8:40], "a packed film table", "its header cannot be read") from error
     arrays, offset = {}, 8 + size
     for name, dtype, shape in described:
-        if dtype not in DTYPES or min(shape, default=0) < 0 or prod(shape) * 4 > MAX_BYTES:
-            raise InputError(f"table.{name}", (dtype, shape), f"dtype in {DTYPES}, sizes not below 0")
+        sizes = len(shape) <= MAX_AXES and min(shape, default=0) >= 0 and prod(shape) * 4 <= MAX_BYTES
+        if dtype not in DTYPES or not sizes:
+            allowed = f"dtype in {DTYPES}, up to {MAX_AXES} axes, at most {MAX_BYTES} bytes"
+            raise InputError(f"table.{name}", (dtype, shape[: MAX_AXES + 1]), allowed)
         count = prod(shape)
         end = offset + count * int(dtype[2])
         if end > len(packed):

@@ -99,7 +99,15 @@ class FilmTable:
 
         Exact for one encounter; after several, s, p and the wavelengths must be averaged as late as possible.
         """
-        return Powers(*(self.weight @ power.mean(axis=1) for power in self.powers(side)))
+        T = np.zeros(self.nodes(side))
+        T[: self.T.shape[-1]] = self._mean(self.T)
+        held = [self.losses.get(f"{name}_{side}") for name in LOSSES]
+        lost = [np.zeros_like(T) if power is None else self._mean(power) for power in held]
+        return Powers(1.0 - T - lost[0] - lost[1] - lost[2], T, *lost)
+
+    def _mean(self, power: NDArray[Any]) -> Real:
+        """(node,) over the spectrum and both polarisations."""
+        return np.asarray(self.weight @ power.sum(axis=1, dtype=float) / 2.0)
 
     def position(self, u: ArrayLike) -> Real:
         """Fractional node number at u (any shape): the variable in which the table is linear; the ends continue."""

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from pydantic import ValidationError
 
 from containers.materials import list_materials
@@ -15,14 +14,14 @@ from containers.thin_film import warm_up
 from containers.thin_film.database import FilmDatabase, open_database
 from containers.thin_film.film_measurement import measure
 from containers.thin_film.packing import pack, unpack
-from containers.thin_film.table import SIDES, VERSION, FilmTable, film_table
+from containers.thin_film.table import VERSION, FilmTable, film_table
 from luxloop.bus.frame import Array
+from luxloop.computation import Progress
 from luxloop.errors import RemoteError
 from luxloop.film import FILM_REQUEST, KIND, FilmMeasurementRequest, FilmTableRequest
 from luxloop.messages import Failure
 from luxloop.stack import Stack
 from luxloop.words import as_input_error, sha256_of
-from luxloop.worker import Progress
 
 DATABASE = "films.sqlite"
 
@@ -103,12 +102,8 @@ def table_key(request: FilmTableRequest, stack: Stack) -> str:
 
 def averages(table: FilmTable) -> dict[str, Array]:
     """What a table says of unpolarised light of the whole line: u (node,), R and T of both sides."""
-    arrays: dict[str, Array] = {"u": table.u}
-    for side in SIDES:
-        powers = table.average(side)
-        arrays[f"R_{side}"] = np.asarray(powers.R)
-    arrays["T"] = np.asarray(table.average("outside").T)
-    return arrays
+    inside, outside = table.average("inside"), table.average("outside")
+    return {"u": table.u, "R_inside": inside.R, "R_outside": outside.R, "T": outside.T}
 
 
 def film_of(request: FilmTableRequest | FilmMeasurementRequest) -> Stack:

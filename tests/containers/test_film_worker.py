@@ -17,13 +17,13 @@ from containers.thin_film.packing import unpack
 from containers.thin_film.table import FilmTable
 from containers.thin_film.worker import DATABASE, FilmComputation
 from luxloop.client import Client
+from luxloop.computation import Progress
 from luxloop.effect import AppliedEffect
 from luxloop.errors import InputError, RemoteError
 from luxloop.film import FilmMeasurementRequest, FilmTableRequest
 from luxloop.model import Environment
 from luxloop.settings import Settings
 from luxloop.stack import Medium, Stack
-from luxloop.worker import Progress
 from tests.conftest import start, stop, wait_for
 
 GOLDEN = json.loads((Path(__file__).parents[1] / "golden" / "thin_film.json").read_text())["tables"]

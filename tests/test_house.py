@@ -1,0 +1,90 @@
+"""The house: what ships, how large the rooms' files are, who may import what."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+import tomllib
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+ROOMS = ("containers", "env_controller", "validation", "viewer")
+PACKAGES = ("luxloop", *ROOMS)
+HALL_LINES = 2400
+MODULE_LINES = 500
+HALL_MODULE_LINES = 300
+
+
+def modules(package: str) -> list[Path]:
+    """The Python files of a package."""
+    return sorted((ROOT / package).rglob("*.py"))
+
+
+def code_lines(path: Path) -> int:
+    """Lines of a file that are neither blank, nor comment, nor docstring."""
+    text = path.read_text()
+    documented: set[int] = set()
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str):
+            documented.update(range(node.lineno, (node.end_lineno or node.lineno) + 1))
+    lines = enumerate(text.splitlines(), 1)
+    return sum(bool(line.strip()) and not line.lstrip().startswith("#") and n not in documented for n, line in lines)
+
+
+def test_the_hall_stays_small() -> None:
+    """The shared language is under 2,400 lines of code, and no file of it over 300 lines."""
+    assert sum(map(code_lines, modules("luxloop"))) < HALL_LINES
+    assert [str(path) for path in modules("luxloop") if len(path.read_text().splitlines()) > HALL_MODULE_LINES] == []
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_no_module_is_longer_than_a_reader_holds(package: str) -> None:
+    """No module is over 500 lines."""
+    assert [str(path) for path in modules(package) if len(path.read_text().splitlines()) > MODULE_LINES] == []
+
+
+def test_the_wheel_holds_the_five_packages_and_their_data(tmp_path: Path) -> None:
+    """What is built ships the packages, py.typed, models and materials, and nothing else at the top level."""
+    subprocess.run(
+        [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(tmp_path)],
+        cwd=ROOT,
+        check=True,
+        capture_output=True,
+    )
+    (wheel,) = tmp_path.glob("*.whl")
+    names = zipfile.ZipFile(wheel).namelist()
+    top = {name.split("/")[0] for name in names}
+    assert {name for name in top if not name.endswith(".dist-info")} == set(PACKAGES)
+    assert {f"{package}/py.typed" for package in PACKAGES} <= set(names)
+    assert {"luxloop/models/paper.toml", "luxloop/models/clear_chip.toml"} <= set(names)
+    assert "containers/material_data/GaN.toml" in names
+
+
+def test_every_command_and_view_can_be_loaded() -> None:
+    """Each entry point names something that is there, with a docstring that its help shows."""
+    from importlib.metadata import entry_points
+
+    wanted = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["entry-points"]
+    for group, points in wanted.items():
+        loaded = {point.name: point.load() for point in entry_points(group=group)}
+        assert set(loaded) == set(points)
+        assert all(function.__doc__ for function in loaded.values())
+
+
+def test_docker_is_no_package() -> None:
+    """An `__init__.py` there would hide an installed docker SDK."""
+    assert not (ROOT / "docker" / "__init__.py").exists()
+
+
+def test_help_imports_nothing_numeric() -> None:
+    """`luxloop --help` loads every command's module, and neither numba, matplotlib nor zenoh."""
+    code = (
+        "import sys\nfrom luxloop.cli import app\nimport typer\ntyper.main.get_command(app())\n"
+        "print([name for name in ('numba', 'matplotlib', 'zenoh', 'torch', 'scipy') if name in sys.modules])\n"
+    )
+    shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert shown.stdout.strip() == "[]"
