@@ -1,0 +1,115 @@
+"""The Speos coated surface (`*.coated`): R and T in percent per polarisation, wavelength and angle of incidence.
+
+    OPTIS - Coated surface file v1.0
+    <comment, one line>
+    <angles> <wavelengths>
+    TAB 400 TAB TAB 401.5 TAB TAB ...
+    0 TAB R_p TAB T_p TAB R_p TAB T_p ...      P row of an angle: a pair for each wavelength
+      TAB R_s TAB T_s TAB R_s TAB T_s ...      S row of the same angle
+
+Wavelengths in nm, angles in degrees; no tabs in the first three lines. This layout, P before S included, is the one
+of the maker's public article on the format. A file holds for light that crosses in one direction, so a film has two.
+Not verified: whether Speos interpolates linearly between angles (assumed in `lost`), and how it takes the angle's
+medium; the angle here is that in the medium the light comes from.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from containers.thin_film.exports.exported import Exported, checked_text, lost_words, numbers
+from containers.thin_film.table import FilmTable, Real, Side
+from luxloop.errors import InputError
+
+HEADER = "OPTIS - Coated surface file v1.0"
+MAX_ROWS = 100_000
+
+
+@dataclass(frozen=True)
+class CoatedSurface:
+    """Powers of one side of a coating."""
+
+    wavelength_nm: Real
+    """(wavelength,)"""
+    aoi_deg: Real
+    """(angle,)"""
+    R: Real
+    """(wavelength, polarisation s, p, angle)"""
+    T: Real
+    """(wavelength, polarisation s, p, angle)"""
+
+
+def coated_surface(table: FilmTable, side: Side, aoi_deg: ArrayLike | None = None) -> CoatedSurface:
+    """The film's powers seen from one side at the angles (angle,); by default at the table's own nodes."""
+    index = table.n_inside if side == "inside" else table.n_outside
+    if aoi_deg is None:
+        sine = table.u[: table.nodes(side)] / index[np.argmax(table.weight)]
+        aoi = np.degrees(np.arcsin(sine[sine <= 1.0]))
+    else:
+        aoi = np.asarray(aoi_deg, float)
+    if aoi.ndim != 1 or not aoi.size or np.any(np.diff(aoi) <= 0.0) or aoi[0] < 0.0 or aoi[-1] > 90.0:
+        raise InputError("aoi_deg", aoi, "increasing angles from 0 to 90 deg")
+    powers = table.powers(side)
+    u = index[:, None] * np.sin(np.radians(aoi))
+    R = np.stack([table.at(powers.R[w], u[w]) for w in range(index.size)])
+    T = np.stack([table.at(powers.T[w], u[w]) for w in range(index.size)])
+    return CoatedSurface(table.wavelength_nm, aoi, R, T)
+
+
+def speos(table: FilmTable, side: Side, aoi_deg: ArrayLike | None = None) -> Exported:
+    """The `*.coated` text for light from one side.
+
+    Parameters
+    ----------
+    aoi_deg : (angle,), increasing, in the medium of `side`; by default the table's own nodes, which are dense about
+        the critical angle.
+
+    Notes
+    -----
+    `lost` in power ratios: "scatter", the largest S_R + S_T, which the format books as absorbed (100 - R - T);
+    "interpolation", the largest error in R, against the table, half way between two angles of the file
+    where R is interpolated linearly in angle.
+    """
+    surface = coated_surface(table, side, aoi_deg)
+    powers = table.powers(side)
+    lost = {"scatter": float((powers.S_R + powers.S_T).max())}
+    if surface.aoi_deg.size > 1:
+        middle = coated_surface(table, side, (surface.aoi_deg[1:] + surface.aoi_deg[:-1]) / 2.0)
+        guess = (surface.R[..., 1:] + surface.R[..., :-1]) / 2.0
+        lost["interpolation"] = float(np.abs(middle.R - guess).max())
+    comment = f"luxloop {table.stack} from {side}; {lost_words(lost)}"
+    return Exported(_text(surface, comment), lost)
+
+
+def _text(surface: CoatedSurface, comment: str) -> str:
+    percent = 100.0 * np.stack([surface.R, surface.T], axis=-1)
+    rows = [HEADER, " ".join(comment.split())[:1000], f"{surface.aoi_deg.size} {surface.wavelength_nm.size}"]
+    rows.append("\t" + "".join(f"{nm:.10g}\t\t" for nm in surface.wavelength_nm))
+    for k, aoi in enumerate(surface.aoi_deg):
+        for label, polarisation in ((f"{aoi:.10g}", 1), ("", 0)):
+            rows.append(f"{label}\t" + "".join(f"{x:.12g}\t" for x in percent[:, polarisation, k].ravel()))
+    return "\n".join(rows) + "\n"
+
+
+def read_speos(text: str) -> CoatedSurface:
+    """The surface in a `*.coated` text; InputError naming the line where it is not one."""
+    lines = checked_text("coated file", text).splitlines()
+    if len(lines) < 4 or lines[0].strip() != HEADER:
+        raise InputError("coated file, line 1", lines[0] if lines else "", HEADER)
+    counts = numbers("coated file, line 3", lines[2].split(), 2)
+    if any(not 1 <= n <= MAX_ROWS or n != int(n) for n in counts) or len(lines) < 4 + 2 * int(counts[0]):
+        raise InputError("coated file, line 3", lines[2], f"counts of the {len(lines)} lines", "it was cut short")
+    angles, wavelengths = (int(n) for n in counts)
+    wavelength_nm = np.array(numbers("coated file, line 4", lines[3].split(), wavelengths))
+    aoi_deg, percent = np.empty(angles), np.empty((wavelengths, 2, angles, 2))
+    for k in range(angles):
+        first, second = lines[4 + 2 * k].split(), lines[5 + 2 * k].split()
+        row = numbers(f"coated file, line {5 + 2 * k}", first, 1 + 2 * wavelengths)
+        aoi_deg[k] = row[0]
+        percent[:, 1, k] = np.reshape(row[1:], (wavelengths, 2))
+        s_row = numbers(f"coated file, line {6 + 2 * k}", second, 2 * wavelengths)
+        percent[:, 0, k] = np.reshape(s_row, (wavelengths, 2))
+    return CoatedSurface(wavelength_nm, aoi_deg, percent[..., 0] / 100.0, percent[..., 1] / 100.0)
