@@ -170,13 +170,13 @@ def _connect(path: Path) -> sqlite3.Connection:
 def _make_or_check(connection: sqlite3.Connection, path: Path) -> None:
     """Make the tables, or see that they are ours: one transaction, since another process may be at the same place."""
     with connection:
-        # needs the right to write, so that a read-only file is found now and not with the first table
         connection.execute("BEGIN IMMEDIATE")
         if _is_new(connection, path):
             for statement in TABLES.split(";"):
                 connection.execute(statement)
             connection.execute(f"PRAGMA application_id = {APPLICATION}")
-            connection.execute(f"PRAGMA user_version = {SCHEMA}")
+        # written also where it is so already: a read-only file is found now and not with the first table
+        connection.execute(f"PRAGMA user_version = {SCHEMA}")
 
 
 def _is_new(connection: sqlite3.Connection, path: Path) -> bool:
@@ -189,7 +189,7 @@ def _is_new(connection: sqlite3.Connection, path: Path) -> bool:
         raise InputError("film database", str(path), "a luxloop film database", "it is another program's: move it")
     if tables and schema != SCHEMA:
         mend = "it was written by another release: use that, or move it away; what it holds is computed again"
-        raise InputError("film database", f"{path} of schema {schema}", f"schema {SCHEMA}", mend)
+        raise InputError("film database", f"schema {schema}, {path}", f"schema {SCHEMA}", mend)
     return not tables
 
 
