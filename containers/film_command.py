@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from containers.typed import check_file, numbers, parse_stack
 from luxloop.errors import InputError, RemoteError
 from luxloop.model_file import find_model
 from luxloop.settings import load_settings
-from luxloop.stack import Layer, Medium, Stack
 
 if TYPE_CHECKING:
     from containers.thin_film.table import FilmTable
-    from luxloop.client import Client
+    from luxloop.client import Answer, Client
     from luxloop.model import Model
 
 Against = Literal["angle", "wavelength"]
@@ -25,6 +25,7 @@ Quantity = Literal["R", "T", "psi", "delta"]
 Side = Literal["inside", "outside"]
 Polarisation = Literal["s", "p", "u"]
 CURVE_POINTS = 361
+EXPORTS = (".coated", ".bsdf", ".xml")
 
 
 def film(
@@ -49,6 +50,12 @@ def film(
         bool, typer.Option("--tables", help="Also fetch the tables a tracer uses, and hold them against the values.")
     ] = False,
     plot: Annotated[Path | None, typer.Option(help="Draw it into this PNG file.")] = None,
+    export: Annotated[
+        Path | None,
+        typer.Option(
+            help="Write one DBR's table for another program: .coated (Speos), .bsdf (OpticStudio), .xml (Radiance)."
+        ),
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
 ) -> None:
     """Reflectance, transmittance or ellipsometry of a stack against angle or wavelength."""
@@ -56,15 +63,20 @@ def film(
 
     if (pairs is None) == (stack is None):
         raise InputError("--pairs", pairs, "--pairs or --stack", "give exactly one of the two")
-    _check_plot(plot)
+    check_file("--plot", plot, (".png",))
+    check_file("--export", export, EXPORTS)
     chosen = find_model(model)
     question = _Question(
         chosen, model, pairs, stack, quantity, against, angles, wavelengths, side, polarisation, bandwidth
     )
     with Client(load_settings()) as client:
         document = question.ask(client, dense=plot is not None)
-        if tables:
-            question.fetch_tables(client, document)
+        if tables or export is not None:
+            fetched = question.fetch_tables(client, document)
+    if export is not None:
+        from containers.film_export import export_table
+
+        document["export"] = {"file": str(export), "lost": export_table(fetched, question.side, export)}
     if plot is not None:
         _draw(document, plot)
         document["plot"] = str(plot)
@@ -117,9 +129,7 @@ class _Question:
         fine = [self.axis[0] + (self.axis[-1] - self.axis[0]) * i / (CURVE_POINTS - 1) for i in range(CURVE_POINTS)]
         for values, name in [(self.axis, "values")] + [(fine, "curve")] * dense:
             requests = [self._request(film, values) for film in films]
-            for number, answer in client.map(requests):
-                if isinstance(answer, RemoteError):
-                    raise answer
+            for number, answer in _answers(client, requests, "points of the curves" if name == "curve" else "films"):
                 films[number][name] = [float(value) for value in answer.arrays["value"].ravel()]
                 films[number].setdefault("worker", answer.worker)
         unit = "deg" if self.quantity in ("psi", "delta") else "1"
@@ -138,25 +148,25 @@ class _Question:
             **({"curve_axis": fine} if dense else {}),
         }
 
-    def fetch_tables(self, client: Client, document: dict[str, Any]) -> None:
-        """Fetch each DBR's table by its hash; note what it is and how far its interpolation is from the values."""
+    def fetch_tables(self, client: Client, document: dict[str, Any]) -> list[FilmTable]:
+        """Each DBR's table, fetched by its hash; notes what it is and how far interpolation is from the values."""
         from containers.thin_film.packing import unpack
         from containers.thin_film.table import FilmTable
         from luxloop.film import FilmTableRequest, Spectrum
 
         if self.stack is not None or self.against != "angle" or self.quantity not in ("R", "T"):
-            raise InputError("--tables", True, "with --pairs, R or T against angle")
+            raise InputError("--tables", True, "with --pairs, R or T against angle", "the same goes for --export")
         environment = self.model.environment
         line = Spectrum(peak_nm=environment.peak_nm, fwhm_nm=environment.fwhm_nm)
         requests = [
             FilmTableRequest(environment=environment, dbr_pairs=p, effects=self.model.effects, spectrum=line)
             for p in self.pairs
         ]
-        for number, answer in client.map(requests):
-            if isinstance(answer, RemoteError):
-                raise answer
+        tables: dict[int, FilmTable] = {}
+        for number, answer in _answers(client, requests, "tables"):
             packed = client.fetch(str(answer.result["table_sha256"]), int(answer.result["table_bytes"]))
             table = FilmTable.from_parts(*unpack(packed))
+            tables[number] = table
             values = document["films"][number]["values"]
             document["films"][number]["table"] = {
                 "sha256": answer.result["table_sha256"],
@@ -166,6 +176,7 @@ class _Question:
                 "known": answer.result["known"],
                 "largest_difference": self._difference(table, values),
             }
+        return [tables[number] for number in range(len(requests))]
 
     def _difference(self, table: FilmTable, values: list[float]) -> float:
         """Largest difference between the table, interpolated at the asked angles, and the exact values."""
@@ -201,95 +212,20 @@ class _Question:
         )
 
 
-def numbers(option: str, text: str) -> list[float]:
-    """The numbers of `5.5`, `1,2,3` or `first:last:step` (last included). Raises InputError naming the option."""
-    allowed = "a number, a list 1,2,3 or a range first:last:step"
-    try:
-        parts = [
-            float(part) for part in text.replace(",", ":" if ":" in text else ",").split(":" if ":" in text else ",")
-        ]
-    except ValueError as error:
-        raise InputError(option, text, allowed) from error
-    if any(part != part or abs(part) == float("inf") for part in parts):
-        raise InputError(option, text, "finite numbers")
-    if ":" not in text:
-        return parts
-    if len(parts) != 3 or parts[2] <= 0 or parts[1] < parts[0]:
-        raise InputError(option, text, f"{allowed}, step above 0, last not below first")
-    count = int((parts[1] - parts[0]) / parts[2] + 1e-9) + 1
-    if count > 10_000:
-        raise InputError(option, text, "at most 10,000 values", "take a larger step")
-    return [parts[0] + i * parts[2] for i in range(count)]
+def _answers(client: Client, requests: list[Any], what: str) -> Iterator[tuple[int, Answer]]:
+    """(number, answer) of each request; raises the first failure. A bar on a terminal, for those that take long."""
+    from rich.console import Console
+    from rich.progress import track
 
-
-def parse_stack(text: str) -> Stack:
-    """A stack from its sentence, from the bulk outwards: `GaN | AlN 51.6 ~1 | 2.49+0.01i 45.2 | air`.
-
-    A medium is a material's name, or an index n or n+ki; a layer adds its thickness in nm, `~` its outer face's
-    roughness in nm, and the word `incoherent` where powers add. Raises InputError naming the part.
-    """
-    parts = [part.split() for part in text.split("|")]
-    if len(parts) < 2 or not all(parts):
-        raise InputError("--stack", text, "media separated by |, at least the two half spaces")
-    first, *layers, last = parts
-    if len(last) != 1:
-        raise InputError("--stack", " ".join(last), "one word: the outermost medium has no thickness")
-    inside, inside_roughness_nm = first[0], 0.0
-    if len(first) == 2 and first[1].startswith("~"):
-        inside_roughness_nm = _number(first[1][1:], " ".join(first))
-    elif len(first) != 1:
-        raise InputError("--stack", " ".join(first), "one word: the innermost medium has no thickness")
-    from luxloop.words import parse
-
-    return parse(
-        Stack,
-        {
-            "inside": _medium(inside),
-            "layers": tuple(_layer(words) for words in layers),
-            "outside": _medium(last[0]),
-            "inside_roughness_nm": inside_roughness_nm,
-        },
-        "--stack",
+    console = Console(stderr=True)
+    answers = client.map(requests)
+    shown = track(
+        answers, what, total=len(requests), console=console, transient=True, disable=not console.is_terminal
     )
-
-
-def _layer(words: list[str]) -> Layer:
-    from luxloop.words import parse
-
-    rest, whole = list(words[1:]), " ".join(words)
-    coherent = "incoherent" not in rest
-    rest = [word for word in rest if word != "incoherent"]
-    rough = [word for word in rest if word.startswith("~")]
-    thickness = [word for word in rest if not word.startswith("~")]
-    if len(thickness) != 1 or len(rough) > 1:
-        raise InputError("--stack", whole, "medium thickness [~roughness] [incoherent], lengths in nm")
-    return parse(
-        Layer,
-        {
-            "medium": _medium(words[0]),
-            "thickness_nm": _number(thickness[0], whole),
-            "roughness_nm": _number(rough[0][1:], whole) if rough else 0.0,
-            "coherent": coherent,
-        },
-        f"--stack: {whole!r}",
-    )
-
-
-def _medium(word: str) -> Medium:
-    from luxloop.words import parse
-
-    try:
-        index = complex(word.replace("i", "j"))
-    except ValueError:
-        return parse(Medium, {"material": word}, "--stack") if word != "air" else Medium(n=1.0)
-    return parse(Medium, {"n": index.real, "k": index.imag}, f"--stack: {word!r}")
-
-
-def _number(word: str, whole: str) -> float:
-    try:
-        return float(word.removesuffix("nm"))
-    except ValueError as error:
-        raise InputError("--stack", whole, "a number of nm", f"{word!r} is none") from error
+    for number, answer in shown:
+        if isinstance(answer, RemoteError):
+            raise answer
+        yield number, answer
 
 
 def _as_text(document: dict[str, Any]) -> str:
@@ -311,29 +247,24 @@ def _as_text(document: dict[str, Any]) -> str:
                 f"{'from the database' if table['known'] else 'computed'}, "
                 f"within {table['largest_difference']:.1e} of the values above"
             )
+    if "export" in document:
+        lost = ", ".join(f"{name} {size:.2g}" for name, size in document["export"]["lost"].items()) or "nothing"
+        lines.append(f"exported: {document['export']['file']}; lost (power ratio at most): {lost}")
     if "plot" in document:
         lines.append(f"picture: {document['plot']}")
     return "\n".join(lines)
 
 
 def _caption(document: dict[str, Any]) -> str:
-    light = {"s": "s-polarised", "p": "p-polarised", "u": "unpolarised"}[document["polarisation"]]
+    kinds = {"s": "s-polarised light", "p": "p-polarised light", "u": "unpolarised light"}
+    light = "light" if document["unit"] == "deg" else kinds[document["polarisation"]]
     at = document["wavelength_nm"][0] if document["against"] == "angle" else document["angle_deg"][0]
     at_text = f"at {at:g} nm" if document["against"] == "angle" else f"at {at:g} deg"
     line = f", averaged over a line of {document['bandwidth_nm']:g} nm FWHM" if document["bandwidth_nm"] else ""
     film = document["films"][0].get("stack")
     what = film or f"DBR of the model {document['model']['name']!r}"
     unit = " in deg" if document["unit"] == "deg" else ""
-    return f"{document['quantity']}{unit} of {what}, {light} light from the {document['side']}, {at_text}{line}"
-
-
-def _check_plot(plot: Path | None) -> None:
-    if plot is None:
-        return
-    if plot.suffix.lower() != ".png":
-        raise InputError("--plot", str(plot), "a name that ends with .png")
-    if not plot.parent.is_dir():
-        raise InputError("--plot", str(plot), "a file in a folder that exists", f"make {plot.parent} first")
+    return f"{document['quantity']}{unit} of {what}, {light} from the {document['side']}, {at_text}{line}"
 
 
 def _draw(document: dict[str, Any], path: Path) -> None:

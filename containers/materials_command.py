@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from containers.film_command import numbers
+from containers.typed import numbers
 
 JsonOption = Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")]
 

@@ -115,9 +115,10 @@ def _workers(status: Status) -> Iterator[Finding]:
     if not status.workers:
         yield Finding("workers", "fail", "none", "start one: luxloop serve thin-film, or luxloop serve local")
     for worker in status.workers:
+        memory = f"{worker.resident_mb:.0f} MB, " if worker.resident_mb else ""
         found = (
             f"{worker.describe.kind} on {worker.describe.host}, pid {worker.describe.pid}, {worker.finished} done, "
-            f"{worker.resident_mb:.0f} MB, heard {worker.heard_s_ago:.1f} s ago, clock {worker.clock_skew_s:+.2f} s"
+            f"{memory}heard {worker.heard_s_ago:.1f} s ago, clock {worker.clock_skew_s:+.2f} s"
         )
         verdict: Verdict = "ok"
         mend = ""

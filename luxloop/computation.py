@@ -1,4 +1,4 @@
-"""What makes a worker a film worker or a ray worker: a `Computation`, which reports its progress and can be stopped."""
+"""What makes a worker a film worker or a ray worker: it computes, reports how far it is, and can be stopped."""
 
 from __future__ import annotations
 

@@ -45,6 +45,24 @@ def stop(process: subprocess.Popen[bytes]) -> None:
     process.wait(10)
 
 
+def processes_at(endpoint: str) -> list[str]:
+    """The processes that were told this router in their environment."""
+    return processes_with(f"LUXLOOP_ROUTER={endpoint}")
+
+
+def processes_with(setting: str) -> list[str]:
+    """The processes with this `NAME=value` in their environment, this one excepted."""
+    found = []
+    for environ in Path("/proc").glob("[0-9]*/environ"):
+        try:
+            held = environ.read_bytes().decode(errors="replace").split("\0")
+        except OSError:  # ended while we looked
+            continue
+        if setting in held and environ.parent.name != str(os.getpid()):
+            found.append(environ.parent.name)
+    return found
+
+
 @pytest.fixture
 def settings(tmp_path: Path) -> Settings:
     """Settings with a router port and a cache of their own."""

@@ -44,11 +44,12 @@ def draw(document: dict[str, Any], path: Path) -> None:
 
 
 def _title(document: dict[str, Any]) -> str:
-    light = {"s": "s-polarised", "p": "p-polarised", "u": "unpolarised"}[document["polarisation"]]
+    kinds = {"s": "s-polarised light", "p": "p-polarised light", "u": "unpolarised light"}
+    light = "light" if document["unit"] == "deg" else kinds[document["polarisation"]]
     at = (
         f"{document['wavelength_nm'][0]:g} nm"
         if document["against"] == "angle"
         else f"{document['angle_deg'][0]:g} deg"
     )
     line = f", line of {document['bandwidth_nm']:g} nm FWHM" if document["bandwidth_nm"] else ""
-    return f"{light} light from the {document['side']}, {at}{line}, model {document['model']['name']!r}"
+    return f"{light} from the {document['side']}, {at}{line}, model {document['model']['name']!r}"

@@ -14,6 +14,7 @@ import json
 import struct
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import lru_cache
 from math import prod
 from typing import Any, TypeVar
 
@@ -30,6 +31,7 @@ INLINE_BYTES = 1 << 20
 HEADER_BYTES = 1 << 20
 FRAME_BYTES = 16 << 20
 ARRAY_BYTES = 1 << 32
+USUAL_HEAD_BYTES = 100
 DTYPES = ("<f8", "<f4", "<i8", "<i4", "<u8", "<u4", "<u2", "|u1")
 
 Array = NDArray[Any]
@@ -139,14 +141,23 @@ def _split(data: bytes) -> tuple[dict[str, Any], bytes, int]:
     end = 12 + head_size + body_size
     if head_size + body_size > HEADER_BYTES or end > len(data):
         raise InputError("frame", f"{len(data)} bytes", f"{end} bytes of text as it announces", "it was cut short")
+    raw = data[12 : 12 + head_size]
+    head = _read_usual_head(raw) if head_size <= USUAL_HEAD_BYTES else _read_head(raw)
+    return head, data[12 + head_size : end], end + (-end % 8)
+
+
+def _read_head(raw: bytes) -> dict[str, Any]:
     try:
-        head = json.loads(data[12 : 12 + head_size])
+        head = json.loads(raw)
     except (ValueError, RecursionError) as error:
-        raise InputError("frame", data[12:40], "a JSON head") from error
+        raise InputError("frame", raw[:30], "a JSON head") from error
     if not isinstance(head, dict) or head.get("schema") != SCHEMA:
         seen = head.get("schema") if isinstance(head, dict) else head
         raise InputError("schema", seen, f"{SCHEMA}", "run the same release of luxloop on all sides")
-    return head, data[12 + head_size : end], end + (-end % 8)
+    return head
+
+
+_read_usual_head = lru_cache(64)(_read_head)  # messages without arrays have one head for each kind
 
 
 def _specs(head: dict[str, Any]) -> list[tuple[str, str, tuple[int, ...], str, bool]]:

@@ -24,7 +24,7 @@ from luxloop.client import Answer, Client
 from luxloop.errors import RemoteError
 from luxloop.messages import Done, Failure, Heartbeat, Hello, Outcome, Pull, Receipt, Submit, Task
 from luxloop.settings import Settings
-from tests.conftest import start, stop, wait_for
+from tests.conftest import processes_at, start, stop, wait_for
 
 SLEEPY = str(Path(__file__).parents[1] / "sleepy_worker.py")
 
@@ -439,16 +439,4 @@ def test_a_killed_client_leaves_no_processes(settings: Settings) -> None:
     process.stdout.close()
 
     assert endpoint
-    wait_for(lambda: not _processes_at(endpoint), "the set to end", 15.0)
-
-
-def _processes_at(endpoint: str) -> list[str]:
-    """The processes that were told this endpoint in their environment."""
-    found = []
-    for environ in Path("/proc").glob("[0-9]*/environ"):
-        try:
-            if f"LUXLOOP_ROUTER={endpoint}" in environ.read_bytes().decode(errors="replace"):
-                found.append(environ.parent.name)
-        except OSError:  # ended while we looked
-            continue
-    return found
+    wait_for(lambda: not processes_at(endpoint), "the set to end", 15.0)
