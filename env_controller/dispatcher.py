@@ -6,14 +6,13 @@ held open and answered when their time has come; a hold that is over is answered
 
 from __future__ import annotations
 
-import os
 import threading
 import time
-from collections import OrderedDict
 from dataclasses import dataclass, field
 from uuid import uuid4
 
 from env_controller import events as e
+from env_controller.outcomes import Results, failure_of, other_release
 from env_controller.scheduler import Scheduler
 from luxloop import __version__
 from luxloop import messages as m
@@ -29,11 +28,6 @@ TICK_S = 0.25
 ORPHAN_S = 30.0  # a task that nobody has asked about for so long is withdrawn
 GONE_S = 60.0  # a worker not heard of for so long is taken off the list
 FINAL = ("bad_input", "too_large", "unknown_effect", "version")  # failures that another attempt would not mend
-MENDS = {
-    "no_worker": "start a worker of this kind: luxloop serve local, or luxloop doctor to see who is there",
-    "worker_lost": "the task was set aside; see the workers' logs, and luxloop doctor",
-    "timed_out": "give the task a higher limit, or ask for less at once",
-}
 
 
 @dataclass
@@ -147,7 +141,7 @@ class Dispatcher:
             asked.answer(finished)
             return
         if task.version != __version__:
-            asked.reply(_other_release(task.version))
+            asked.reply(other_release(task.version))
             return
         if task.id not in self._wanted:
             if len(self._wanted) >= self._settings.queue_tasks:
@@ -171,7 +165,7 @@ class Dispatcher:
 
     def _hello(self, asked: Asked, describe: m.Describe) -> None:
         if describe.version != __version__:
-            asked.reply(_other_release(describe.version))
+            asked.reply(other_release(describe.version))
             return
         now = time.monotonic()
         self._workers[describe.worker] = Known(describe, heard_s=now)
@@ -265,26 +259,14 @@ class Dispatcher:
             if finish.code == "done":
                 self._results.put(finish.task_id, frame)
         else:
-            frame = encode(m.Outcome(task_id=finish.task_id, failure=self._failure_of(finish, wanted)))
+            frame = encode(
+                m.Outcome(
+                    task_id=finish.task_id,
+                    failure=failure_of(finish, wanted.task.kind, wanted.limit_s, self._failure),
+                )
+            )
         for _, asked in wanted.waiting:
             asked.answer(frame)
-
-    def _failure_of(self, finish: e.Finish, wanted: Wanted) -> m.Failure:
-        kind, tries = wanted.task.kind, len(finish.history)
-        said = {
-            "no_worker": f"no {kind} worker came",
-            "worker_lost": f"{tries} attempts of this {kind} task ended with its worker's loss",
-            "timed_out": f"the {kind} task ran over its limit of {wanted.limit_s:g} s",
-            "cancelled": f"the {kind} task was withdrawn",
-            "crashed": self._failure.message if self._failure else f"the {kind} task crashed {tries} times",
-        }[finish.code]
-        return m.Failure(
-            code=finish.code,
-            message=said,
-            mend=MENDS.get(finish.code, ""),
-            where="controller",
-            history=finish.history,
-        )
 
     def _lease(self, grant: e.Grant) -> m.Lease:
         wanted = self._wanted[grant.task_id]
@@ -340,32 +322,3 @@ class Dispatcher:
             finished=record.finished if record else 0,
             resident_mb=known.beat.resident_mb if known.beat else 0.0,
         )
-
-
-class Results:
-    """Finished outcomes for those who ask again, the least recently used dropped above a bound."""
-
-    def __init__(self, max_bytes: int) -> None:
-        self._frames: OrderedDict[str, bytes] = OrderedDict()
-        self._max_bytes, self._bytes = max_bytes, 0
-
-    def get(self, task_id: str) -> bytes | None:
-        frame = self._frames.get(task_id)
-        if frame is not None:
-            self._frames.move_to_end(task_id)
-        return frame
-
-    def put(self, task_id: str, frame: bytes) -> None:
-        self._bytes += len(frame) - len(self._frames.pop(task_id, b""))
-        self._frames[task_id] = frame
-        while self._bytes > self._max_bytes and self._frames:
-            self._bytes -= len(self._frames.popitem(last=False)[1])
-
-
-def _other_release(version: str) -> m.Failure:
-    return m.Failure(
-        code="version",
-        message=f"the other side runs luxloop {version}, this controller {__version__}",
-        mend="run the same release on all sides",
-        where=f"controller {os.getpid()}",
-    )

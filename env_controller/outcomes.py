@@ -1,0 +1,65 @@
+"""How tasks end: outcomes kept for those who ask again, and failures in words."""
+
+from __future__ import annotations
+
+import os
+from collections import OrderedDict
+
+from env_controller.events import Finish
+from luxloop import __version__
+from luxloop.messages import Failure
+
+MENDS = {
+    "no_worker": "start a worker of this kind: luxloop serve local, or luxloop doctor to see who is there",
+    "worker_lost": "the task was set aside; see the workers' logs, and luxloop doctor",
+    "timed_out": "give the task a higher limit, or ask for less at once",
+}
+
+
+def failure_of(finish: Finish, kind: str, limit_s: float, last: Failure | None) -> Failure:
+    """Why a task of a kind was set aside; `last` is what its last delivered attempt said."""
+    tries = len(finish.history)
+    said = {
+        "no_worker": f"no {kind} worker came",
+        "worker_lost": f"{tries} attempts of this {kind} task ended with its worker's loss",
+        "timed_out": f"the {kind} task ran over its limit of {limit_s:g} s",
+        "cancelled": f"the {kind} task was withdrawn",
+        "crashed": last.message if last else f"the {kind} task crashed {tries} times",
+    }[finish.code]
+    return Failure(
+        code=finish.code,
+        message=said,
+        mend=MENDS.get(finish.code, ""),
+        where="controller",
+        history=finish.history,
+    )
+
+
+def other_release(version: str) -> Failure:
+    """What a client or worker of another release is told."""
+    return Failure(
+        code="version",
+        message=f"the other side runs luxloop {version}, this controller {__version__}",
+        mend="run the same release on all sides",
+        where=f"controller {os.getpid()}",
+    )
+
+
+class Results:
+    """Finished outcomes for those who ask again, the least recently used dropped above a bound."""
+
+    def __init__(self, max_bytes: int) -> None:
+        self._frames: OrderedDict[str, bytes] = OrderedDict()
+        self._max_bytes, self._bytes = max_bytes, 0
+
+    def get(self, task_id: str) -> bytes | None:
+        frame = self._frames.get(task_id)
+        if frame is not None:
+            self._frames.move_to_end(task_id)
+        return frame
+
+    def put(self, task_id: str, frame: bytes) -> None:
+        self._bytes += len(frame) - len(self._frames.pop(task_id, b""))
+        self._frames[task_id] = frame
+        while self._bytes > self._max_bytes and self._frames:
+            self._bytes -= len(self._frames.popitem(last=False)[1])
