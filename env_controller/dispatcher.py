@@ -6,28 +6,42 @@ held open and answered when their time has come; a hold that is over is answered
 
 from __future__ import annotations
 
+import logging
 import threading
 import time
 from dataclasses import dataclass, field
+from typing import NamedTuple
 from uuid import uuid4
 
 from env_controller import events as e
 from env_controller.outcomes import Results, failure_of, other_release
+from env_controller.roster import GONE_S, Roster
 from env_controller.scheduler import Scheduler
 from luxloop import __version__
 from luxloop import messages as m
 from luxloop.bus import Asked, Bus, Event, Heard, Inbox, Presence
 from luxloop.bus.frame import decode, encode, reframe
-from luxloop.bus.keys import HOLD_S, at, last_part, name_of
-from luxloop.errors import LuxloopError, RemoteError
+from luxloop.bus.keys import HOLD_S, KEYS, at, last_part, name_of
+from luxloop.errors import InputError, LuxloopError, RemoteError
+from luxloop.failure import Failure
+from luxloop.process import resident_mb
 from luxloop.settings import Settings
 from luxloop.words import Words
-from luxloop.worker import resident_mb
+
+log = logging.getLogger(__name__)
 
 TICK_S = 0.25
 ORPHAN_S = 30.0  # a task that nobody has asked about for so long is withdrawn
-GONE_S = 60.0  # a worker not heard of for so long is taken off the list
+QUESTIONS = ("submit", "withdraw", "status", "hello", "pull", "done")
 FINAL = ("bad_input", "too_large", "unknown_effect", "version")  # failures that another attempt would not mend
+
+
+class Waiting(NamedTuple):
+    """A question that is held open: until when, by which asker."""
+
+    until_s: float
+    asker: str
+    asked: Asked
 
 
 @dataclass
@@ -37,17 +51,7 @@ class Wanted:
     task: m.Task
     limit_s: float
     asked_s: float
-    waiting: list[tuple[float, Asked]] = field(default_factory=list)
-
-
-@dataclass
-class Known:
-    """A worker as it described itself and was last heard."""
-
-    describe: m.Describe
-    beat: m.Heartbeat | None = None
-    heard_s: float = 0.0
-    skew_s: float = 0.0
+    waiting: list[Waiting] = field(default_factory=list)
 
 
 class Dispatcher:
@@ -55,15 +59,15 @@ class Dispatcher:
 
     def __init__(self, bus: Bus, settings: Settings) -> None:
         self._bus, self._settings = bus, settings
-        self.epoch = uuid4().hex[:12]
+        self.epoch = f"{time.time_ns() // 1000:015x}-{uuid4().hex[:6]}"  # later ones sort after earlier ones
         self.core = Scheduler(self.epoch, attempts=settings.attempts, silence_s=settings.silence_s)
         self._inbox = Inbox(4096)
         self._wanted: dict[str, Wanted] = {}
         self._polls: dict[int, tuple[float, Asked]] = {}
-        self._workers: dict[str, Known] = {}
+        self._roster = Roster()
         self._results = Results(int(settings.keep_results_mb * 1e6))
         self._delivery: bytes = b""  # the frame that is being handled
-        self._failure: m.Failure | None = None  # what the last failed attempt said
+        self._failure: Failure | None = None  # what the last failed attempt said
         self._poll_count = 0
         self._started_s = time.monotonic()
 
@@ -72,17 +76,18 @@ class Dispatcher:
         realm = self._settings.realm
         if self._bus.present(at(realm, "alive", role="controller")):
             raise RemoteError(
-                m.Failure(
+                Failure(
                     code="refused",
                     message=f"a controller already serves the realm {realm!r} at {self._settings.router}",
                     mend="use it, stop it, or take another realm (LUXLOOP_REALM)",
                 )
             )
-        for row in ("submit", "withdraw", "status", "hello", "pull", "done"):
+        for row in QUESTIONS:
             self._bus.answer(at(realm, row), self._inbox)
         self._bus.subscribe(at(realm, "heartbeat"), self._inbox)
         self._bus.watch(at(realm, "alive", role="worker"), self._inbox)
         self._bus.announce(at(realm, "alive", role="controller", kind="controller", name=self.epoch))
+        self._bus.watch(at(realm, "alive", role="controller"), self._inbox)
         next_tick_s = 0.0
         while not stop.is_set():
             event = self._inbox.take(TICK_S)
@@ -95,21 +100,32 @@ class Dispatcher:
     def take(self, event: Event) -> None:
         """Handle one thing that arrived; whatever is wrong with it is answered, and the controller goes on."""
         if isinstance(event, Presence):
-            if not event.alive:
-                name = last_part(event.key)
-                self._workers.pop(name, None)
-                self._perform(self.core.handle(e.Left(time.monotonic(), name)))
+            self._notice(event)
             return
         try:
-            message = decode(event.frame).message
+            message = _expected(event)
             if isinstance(event, Heard):
                 self._hear(message)
             else:
                 self._answer(event, message)
         except LuxloopError as error:
             if isinstance(event, Asked):
-                failure = error.failure if isinstance(error, RemoteError) else m.Failure.of(error, "controller")
-                event.reply(failure)
+                event.reply(error.failure if isinstance(error, RemoteError) else Failure.of(error, "controller"))
+        except Exception as error:
+            log.exception("a %s on %s could not be handled", type(event).__name__, event.key)
+            if isinstance(event, Asked):
+                event.reply(Failure.of(error, "controller"))
+
+    def _notice(self, presence: Presence) -> None:
+        """A worker's token vanished; or another controller's appeared: the one that began later goes on."""
+        name = last_part(presence.key)
+        if "/alive/controller/" in presence.key:
+            if presence.alive and name > self.epoch:
+                raise _taken_over(name)
+        elif not presence.alive:
+            self._roster.strike(name)
+            blame = self._bus.connected()
+            self._perform(self.core.handle(e.Left(time.monotonic(), name, blame=blame)))
 
     def _answer(self, asked: Asked, message: Words) -> None:
         match message:
@@ -120,23 +136,15 @@ class Dispatcher:
             case m.Done():
                 self._done(asked, message)
             case m.Hello():
-                self._hello(asked, message.describe)
+                self._hello(asked, message)
             case m.Withdraw():
                 self._withdraw(asked, message)
-            case m.StatusAsked():
-                asked.reply(self.status())
             case _:
-                asked.reply(
-                    m.Failure(
-                        code="bad_input",
-                        message=f"{type(message).__name__} is no question for the key {name_of(asked.key)}",
-                        where="controller",
-                    )
-                )
+                asked.reply(self.status())
 
     def _submit(self, asked: Asked, submit: m.Submit) -> None:
         task, now = submit.task, time.monotonic()
-        finished = self._results.get(task.id)
+        finished = None if submit.fresh else self._results.get(task.id)
         if finished is not None:
             asked.answer(finished)
             return
@@ -146,35 +154,46 @@ class Dispatcher:
         if task.id not in self._wanted:
             if len(self._wanted) >= self._settings.queue_tasks:
                 mend = "submit fewer at once, or set LUXLOOP_QUEUE_TASKS"
-                asked.reply(m.Failure(code="busy", message="the queue is full", mend=mend, where="controller"))
+                asked.reply(Failure(code="busy", message="the queue is full", mend=mend, where="controller"))
                 return
+            # refused here where it would be too large to hand out
+            encode(m.Lease(task=task, attempt=10**9, epoch=self.epoch, limit_s=submit.limit_s))
             self._wanted[task.id] = Wanted(task, submit.limit_s, now)
         wanted = self._wanted[task.id]
         wanted.asked_s = now
-        wanted.waiting.append((now + HOLD_S, asked))
+        wanted.waiting.append(Waiting(now + HOLD_S, submit.asker, asked))
         self._perform(self.core.handle(e.Submitted(now, task.id, task.kind, submit.patience_s, submit.limit_s)))
 
     def _withdraw(self, asked: Asked, withdraw: m.Withdraw) -> None:
-        """One asker takes back its wish; the task ends when nobody else holds a question open for it."""
+        """One asker takes back its wish; the task ends when nobody else waits for it."""
         wanted = self._wanted.get(withdraw.task_id)
-        others = len(wanted.waiting) - 1 if wanted else 0
-        if wanted is not None and others <= 0:
+        mine = [waiting for waiting in wanted.waiting if waiting.asker == withdraw.asker] if wanted else []
+        if wanted is None or not mine:
+            asked.reply(m.Receipt(accepted=False, reason="this asker does not wait for such a task"))
+            return
+        if len(mine) == len(wanted.waiting):
             self._perform(self.core.handle(e.Withdrawn(time.monotonic(), withdraw.task_id)))
-        reason = "" if wanted else "no such task is open"
-        asked.reply(m.Receipt(accepted=wanted is not None, reason=reason))
+        else:
+            wanted.waiting = [waiting for waiting in wanted.waiting if waiting not in mine]
+            for waiting in mine:
+                waiting.asked.reply(Failure(code="cancelled", message="withdrawn by its asker"))
+        asked.reply(m.Receipt(accepted=True))
 
-    def _hello(self, asked: Asked, describe: m.Describe) -> None:
+    def _hello(self, asked: Asked, hello: m.Hello) -> None:
+        describe, now = hello.describe, time.monotonic()
         if describe.version != __version__:
             asked.reply(other_release(describe.version))
             return
-        now = time.monotonic()
-        self._workers[describe.worker] = Known(describe, heard_s=now)
-        self._perform(self.core.handle(e.Joined(now, describe.worker, describe.kind, describe.slots)))
+        self._roster.enter(describe, now)
+        holding = tuple((held.task_id, held.attempt) for held in hello.holding if held.epoch == self.epoch)
+        commands = self.core.handle(e.Joined(now, describe.worker, describe.kind, describe.slots, holding))
+        old = [held for held in hello.holding if held.epoch != self.epoch]
+        self._perform(commands + [e.Stop(describe.worker, held.task_id, held.attempt) for held in old])
         asked.reply(m.Welcome(epoch=self.epoch, version=__version__))
 
     def _pull(self, asked: Asked, pull: m.Pull) -> None:
         if pull.epoch != self.epoch:
-            asked.reply(m.Failure(code="stale", message=f"epoch {pull.epoch} is over", mend="say hello again"))
+            asked.reply(Failure(code="stale", message=f"epoch {pull.epoch} is over", mend="say hello again"))
             return
         poll = self._new_poll(asked)
         self._perform(self.core.handle(e.Polled(time.monotonic(), pull.worker, poll, pull.holding)))
@@ -188,7 +207,7 @@ class Dispatcher:
             return
         outcome = done.outcome
         if outcome is None:
-            asked.reply(m.Failure(code="bad_input", message="a delivery without an outcome", where="controller"))
+            asked.reply(Failure(code="bad_input", message="a delivery without an outcome", where="controller"))
             return
         self._delivery, self._failure = reframe(asked.frame, outcome), outcome.failure
         verdict = "done" if outcome.failure is None else "refused" if outcome.failure.code in FINAL else "crashed"
@@ -209,11 +228,14 @@ class Dispatcher:
         asked.reply(receipt)
 
     def _hear(self, message: Words) -> None:
-        if isinstance(message, m.Heartbeat) and message.worker in self._workers:
-            known = self._workers[message.worker]
-            known.beat, known.heard_s = message, time.monotonic()
-            known.skew_s = time.time() - message.sent_unix_s
-            self._perform(self.core.handle(e.Beat(known.heard_s, message.worker)))
+        if not isinstance(message, m.Heartbeat):
+            return
+        now = time.monotonic()
+        if self._roster.hear(message, now):
+            self._perform(self.core.handle(e.Beat(now, message.worker)))
+        else:  # lost and back, or of before our own restart: it may hold something
+            key = at(self._settings.realm, "cancel", kind=message.kind, worker=message.worker)
+            self._bus.publish(key, encode(m.Introduce()))
 
     def _tick(self) -> None:
         now = time.monotonic()
@@ -221,14 +243,13 @@ class Dispatcher:
         for poll in [poll for poll, (until_s, _) in self._polls.items() if now > until_s]:
             self._perform(self.core.handle(e.PollOver(now, poll)))
         for task_id, wanted in list(self._wanted.items()):
-            over = [asked for until_s, asked in wanted.waiting if now > until_s]
-            wanted.waiting = [(until_s, asked) for until_s, asked in wanted.waiting if now <= until_s]
-            for asked in over:
-                asked.reply(self._pending(task_id))
+            for waiting in [waiting for waiting in wanted.waiting if now > waiting.until_s]:
+                wanted.waiting.remove(waiting)
+                waiting.asked.reply(self._pending(task_id))
             if not wanted.waiting and now - wanted.asked_s > HOLD_S + ORPHAN_S:
                 self._perform(self.core.handle(e.Withdrawn(now, task_id)))
-        for name in [name for name, known in self._workers.items() if now - known.heard_s > GONE_S]:
-            del self._workers[name]
+        for name in self._roster.unheard(now):
+            self._roster.strike(name)
             self._perform(self.core.handle(e.Left(now, name, f"not heard of for {GONE_S:g} s")))
 
     def _perform(self, commands: list[e.Command]) -> m.Receipt:
@@ -241,7 +262,7 @@ class Dispatcher:
                 case e.Release():
                     self._polls.pop(command.poll)[1].reply(m.Nothing())
                 case e.Introduce():
-                    stale = m.Failure(code="stale", message="this worker is not known here", mend="say hello")
+                    stale = Failure(code="stale", message="this worker is not known here", mend="say hello")
                     self._polls.pop(command.poll)[1].reply(stale)
                 case e.Receive():
                     receipt = m.Receipt(accepted=command.accepted, reason=command.reason)
@@ -265,23 +286,24 @@ class Dispatcher:
                     failure=failure_of(finish, wanted.task.kind, wanted.limit_s, self._failure),
                 )
             )
-        for _, asked in wanted.waiting:
-            asked.answer(frame)
+        for waiting in wanted.waiting:
+            waiting.asked.answer(frame)
+        if not wanted.waiting and finish.code not in ("done", "cancelled"):
+            self._results.put(finish.task_id, frame, once=True)  # it ended between two questions of its asker
 
     def _lease(self, grant: e.Grant) -> m.Lease:
         wanted = self._wanted[grant.task_id]
         return m.Lease(task=wanted.task, attempt=grant.attempt, epoch=self.epoch, limit_s=wanted.limit_s)
 
     def _cancel(self, stop: e.Stop) -> None:
-        known = self._workers.get(stop.worker)
-        if known is not None:
-            key = at(self._settings.realm, "cancel", kind=known.describe.kind, worker=stop.worker)
+        kind = self._roster.kind_of(stop.worker)
+        if kind is not None:
+            key = at(self._settings.realm, "cancel", kind=kind, worker=stop.worker)
             self._bus.publish(key, encode(m.Cancel(task_id=stop.task_id, attempt=stop.attempt)))
 
     def _pending(self, task_id: str) -> m.Pending:
         lease = self.core.leases.get(task_id)
-        known = self._workers.get(lease.worker) if lease else None
-        beat = known.beat if known and known.beat and known.beat.task_id == task_id else None
+        beat = self._roster.beat_about(lease.worker, task_id) if lease else None
         return m.Pending(
             task_id=task_id,
             state="running" if lease else "queued",
@@ -302,23 +324,28 @@ class Dispatcher:
             version=__version__,
             up_s=now - self._started_s,
             now_unix_s=time.time(),
-            workers=tuple(self._worker_status(known, now) for known in self._workers.values()),
+            workers=self._roster.statuses(self.core, now),
             queued={kind: len(ids) for kind, ids in self.core.ready.items()},
             running=len(self.core.leases),
             resident_mb=resident_mb(),
             **self.core.counts,
         )
 
-    def _worker_status(self, known: Known, now: float) -> m.WorkerStatus:
-        leases = self.core.held_by(known.describe.worker)
-        record = self.core.workers.get(known.describe.worker)
-        return m.WorkerStatus(
-            describe=known.describe,
-            task_id=leases[0].task_id if leases else "",
-            attempt=leases[0].attempt if leases else 0,
-            progress_ratio=known.beat.progress_ratio if known.beat and leases else 0.0,
-            heard_s_ago=now - known.heard_s,
-            clock_skew_s=known.skew_s,
-            finished=record.finished if record else 0,
-            resident_mb=known.beat.resident_mb if known.beat else 0.0,
-        )
+
+def _expected(event: Asked | Heard) -> Words:
+    """The message, where it is the one that its key stands for and of the key's kind of worker."""
+    message = decode(event.frame).message
+    row = KEYS.get(name_of(event.key))
+    if row is None or not isinstance(message, row.message):
+        wanted = row.message.__name__ if row else "no message"
+        raise InputError("message", type(message).__name__, f"{wanted} on the key {event.key}")
+    kind = message.task.kind if isinstance(message, m.Submit) else getattr(message, "kind", None)
+    if kind is not None and event.key.split("/")[3] != kind:
+        raise InputError("kind", kind, f"{event.key.split('/')[3]}, as its key says")
+    return message
+
+
+def _taken_over(epoch: str) -> RemoteError:
+    return RemoteError(
+        Failure(code="refused", message=f"a later controller, epoch {epoch}, has taken over", mend="let it go on")
+    )

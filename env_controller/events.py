@@ -35,19 +35,21 @@ class Withdrawn(Event):
 
 @dataclass(frozen=True)
 class Joined(Event):
-    """A worker introduced itself."""
+    """A worker introduced itself; `holding` is (task, attempt) of what it computes at that moment, of this epoch."""
 
     worker: str
     kind: str
     slots: int = 1
+    holding: tuple[tuple[str, int], ...] = ()
 
 
 @dataclass(frozen=True)
 class Left(Event):
-    """A worker's token vanished, or it said good-bye."""
+    """A worker's token vanished. Without `blame` (it is we who lost the router) no attempt is held against a task."""
 
     worker: str
     reason: str = "its process ended"
+    blame: bool = True
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from collections import OrderedDict
 
 from env_controller.events import Finish
 from luxloop import __version__
-from luxloop.messages import Failure
+from luxloop.failure import Failure
 
 MENDS = {
     "no_worker": "start a worker of this kind: luxloop serve local, or luxloop doctor to see who is there",
@@ -51,15 +51,27 @@ class Results:
     def __init__(self, max_bytes: int) -> None:
         self._frames: OrderedDict[str, bytes] = OrderedDict()
         self._max_bytes, self._bytes = max_bytes, 0
+        self._once: set[str] = set()
 
     def get(self, task_id: str) -> bytes | None:
+        """The kept outcome's frame; one that was kept for one asker only is given once."""
         frame = self._frames.get(task_id)
-        if frame is not None:
+        if frame is not None and task_id in self._once:
+            self._drop(task_id)
+        elif frame is not None:
             self._frames.move_to_end(task_id)
         return frame
 
-    def put(self, task_id: str, frame: bytes) -> None:
-        self._bytes += len(frame) - len(self._frames.pop(task_id, b""))
+    def put(self, task_id: str, frame: bytes, *, once: bool = False) -> None:
+        """Keep an outcome's frame; with `once` for the next asker only."""
+        self._drop(task_id)
         self._frames[task_id] = frame
+        self._bytes += len(frame)
+        if once:
+            self._once.add(task_id)
         while self._bytes > self._max_bytes and self._frames:
-            self._bytes -= len(self._frames.popitem(last=False)[1])
+            self._drop(next(iter(self._frames)))
+
+    def _drop(self, task_id: str) -> None:
+        self._bytes -= len(self._frames.pop(task_id, b""))
+        self._once.discard(task_id)

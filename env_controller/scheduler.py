@@ -117,12 +117,35 @@ class Scheduler:
         return [*stop, self._end(task, event.at_s, "cancelled")]
 
     def _joined(self, event: e.Joined) -> list[e.Command]:
-        commands = self._forget(event.worker, event.at_s, "it introduced itself anew")
-        self.workers[event.worker] = WorkerRecord(event.worker, event.kind, event.slots, event.at_s)
+        """A worker comes, or comes back: it keeps what is still its own or nobody else has taken up since."""
+        before = self.workers.get(event.worker)
+        commands = self._release_polls(event.worker)
+        finished = before.finished if before else 0
+        self.workers[event.worker] = WorkerRecord(event.worker, event.kind, event.slots, event.at_s, finished)
+        for lease in self.held_by(event.worker):
+            if (lease.task_id, lease.attempt) not in event.holding:
+                commands += self._requeue(lease, event.at_s, "the worker came back without it", blame=False)
+        for task_id, attempt in event.holding:
+            if not self._adopt(event, task_id, attempt):
+                commands.append(e.Stop(event.worker, task_id, attempt))
         return commands
 
+    def _adopt(self, event: e.Joined, task_id: str, attempt: int) -> bool:
+        """Whether a worker may go on with an attempt: its lease stands, or the task still waits for another one."""
+        lease, task = self.leases.get(task_id), self.tasks.get(task_id)
+        if lease is not None:
+            return (lease.worker, lease.attempt) == (event.worker, attempt)
+        full = len(self.held_by(event.worker)) >= event.slots
+        if full or task is None or (task.kind, task.attempt) != (event.kind, attempt):
+            return False
+        del self.ready[task.kind][task_id]
+        self.leases[task_id] = LeaseRecord(task_id, event.worker, attempt, event.at_s)
+        task.failures = [said for said in task.failures if not said.startswith(f"attempt {attempt}:")]
+        self._tell(task, event.at_s, f"attempt {attempt} goes on with {event.worker}")
+        return True
+
     def _left(self, event: e.Left) -> list[e.Command]:
-        return self._forget(event.worker, event.at_s, event.reason)
+        return self._forget(event.worker, event.at_s, event.reason, blame=event.blame)
 
     def _polled(self, event: e.Polled) -> list[e.Command]:
         worker = self.workers.get(event.worker)
@@ -134,6 +157,10 @@ class Scheduler:
                 commands += self._requeue(lease, event.at_s, "the lease never reached the worker", blame=False)
         if len(self.held_by(event.worker)) >= worker.slots:
             return [*commands, e.Release(event.poll)]
+        older = [poll for poll, name in self.polls.items() if name == event.worker]
+        for poll in older[: len(older) + 1 + len(self.held_by(event.worker)) - worker.slots]:
+            del self.polls[poll]  # its asker has given it up: a grant to it would be lost
+            commands.append(e.Release(poll))
         self.polls[event.poll] = event.worker
         commands += self._match(worker.kind, event.at_s)
         if not event.hold and event.poll in self.polls:
@@ -219,15 +246,19 @@ class Scheduler:
             return f"attempt {attempt} of {worker} is over, attempt {lease.attempt} is with {lease.worker}"
         return ""
 
-    def _forget(self, name: str, at_s: float, reason: str) -> list[e.Command]:
+    def _release_polls(self, name: str) -> list[e.Command]:
+        mine = [poll for poll, worker in self.polls.items() if worker == name]
+        self.polls = {poll: worker for poll, worker in self.polls.items() if worker != name}
+        return [e.Release(poll) for poll in mine]
+
+    def _forget(self, name: str, at_s: float, reason: str, *, blame: bool) -> list[e.Command]:
         """Take a worker off the list, its polls and leases with it."""
         gone = self.workers.pop(name, None)
         if gone is None:
             return []
-        commands: list[e.Command] = [e.Release(poll) for poll, worker in self.polls.items() if worker == name]
-        self.polls = {poll: worker for poll, worker in self.polls.items() if worker != name}
+        commands = self._release_polls(name)
         for lease in self.held_by(name):
-            commands += self._requeue(lease, at_s, f"{name} was lost: {reason}")
+            commands += self._requeue(lease, at_s, f"{name} was lost: {reason}", blame=blame)
         if not any(worker.kind == gone.kind for worker in self.workers.values()):
             for task_id in self.ready.get(gone.kind, ()):
                 self.tasks[task_id].since_s = at_s
@@ -259,7 +290,10 @@ class Scheduler:
     def _end(self, task: TaskRecord, at_s: float, code: str) -> e.Finish:
         self.tasks.pop(task.task_id)
         self.leases.pop(task.task_id, None)
-        self.ready.get(task.kind, OrderedDict()).pop(task.task_id, None)
+        queue = self.ready.get(task.kind, OrderedDict())
+        queue.pop(task.task_id, None)
+        if not queue:
+            self.ready.pop(task.kind, None)
         self.counts["done" if code == "done" else "failed"] += 1
         self._tell(task, at_s, f"ended: {code}")
         self._stories[task.task_id] = task.story

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import os
 import signal
 import threading
 from typing import Annotated
 
 import typer
 
+from luxloop.process import orphaned
 from luxloop.settings import load_settings
 
 Router = Annotated[
@@ -30,9 +30,14 @@ def controller(router: Router = None, quiet: Quiet = False) -> None:
     """Be the controller: takes tasks from clients, gives them to workers, brings the outcomes back."""
     from env_controller.dispatcher import Dispatcher
     from luxloop.bus.zenoh_bus import ZenohBus
+    from luxloop.endpoint import listening
 
     settings = load_settings(router=router)
     stop = stop_event()
+    while not listening(settings.router) and not stop.wait(0.2):  # opening a session could not be interrupted
+        pass
+    if stop.is_set():
+        return
     with ZenohBus(settings, patient=True) as bus:
         dispatcher = Dispatcher(bus, settings)
         _tell(quiet, f"controller: epoch {dispatcher.epoch} at {settings.router}")
@@ -55,14 +60,13 @@ def stop_event() -> threading.Event:
     stop = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stop.set())
-    if os.environ.get("LUXLOOP_WITH_PARENT") == "1":
-        threading.Thread(target=_watch_parent, args=(stop, os.getppid()), daemon=True).start()
+    threading.Thread(target=_watch_parent, args=(stop,), daemon=True).start()
     return stop
 
 
-def _watch_parent(stop: threading.Event, parent: int) -> None:
+def _watch_parent(stop: threading.Event) -> None:
     while not stop.wait(0.5):
-        if os.getppid() != parent:
+        if orphaned():
             stop.set()
 
 

@@ -21,15 +21,18 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Any, ClassVar, Protocol
+from uuid import uuid4
 
 from luxloop import __version__
 from luxloop.bus import Interrupt, ask_for
 from luxloop.bus.blobs import fetcher
-from luxloop.bus.frame import Array, encode
+from luxloop.bus.frame import Array, Parcel
 from luxloop.bus.keys import KEYS, at
 from luxloop.bus.zenoh_bus import ZenohBus
+from luxloop.endpoint import host_and_port, listening
 from luxloop.errors import LuxloopError, RemoteError
-from luxloop.messages import Failure, Outcome, Pending, Status, StatusAsked, Submit, Task, Withdraw
+from luxloop.failure import Failure
+from luxloop.messages import Outcome, Pending, Status, StatusAsked, Submit, Task, Withdraw
 from luxloop.settings import Settings, as_environment
 from luxloop.store import BlobStore
 
@@ -62,10 +65,11 @@ class Client:
 
     def __init__(self, settings: Settings, *, local: bool = True, patience_s: float = 30.0) -> None:
         self._patience_s = patience_s
+        self._asker = f"{os.getpid()}-{uuid4().hex[:8]}"
         self._closing = Interrupt()
         self._stack = ExitStack()
         started = False
-        if not _listening(settings.router):
+        if not listening(settings.router):
             if not (local and _is_loopback(settings.router)):
                 raise RemoteError(_nobody(settings))
             settings, started = self._start_local(settings), True
@@ -79,18 +83,31 @@ class Client:
             raise
 
     def run(
-        self, request: Request | Task, *, limit_s: float = 600.0, on_pending: Callable[[Pending], None] | None = None
+        self,
+        request: Request | Task,
+        *,
+        limit_s: float = 600.0,
+        fresh: bool = False,
+        until: Interrupt | None = None,
+        on_pending: Callable[[Pending], None] | None = None,
     ) -> Answer:
-        """The worker's answer. Raises RemoteError with the typed failure where there is none."""
-        task = as_task(request)
-        submit = encode(Submit(task=task, patience_s=self._patience_s, limit_s=limit_s))
-        key, row = at(self.settings.realm, "submit", kind=task.kind), KEYS["submit"]
+        """The worker's answer. Raises RemoteError with the typed failure where there is none.
+
+        `limit_s` bounds one attempt's computation; `fresh` computes again what the controller still has; `until` ends
+        the waiting when it is set; `on_pending` is told every 20 s how far it is.
+        """
+        task, until = as_task(request), until or self._closing
+        row, key = KEYS["submit"], at(self.settings.realm, "submit", kind=as_task(request).kind)
+        submit = Submit(task=task, asker=self._asker, fresh=fresh, patience_s=self._patience_s, limit_s=limit_s)
         lost_since_s: float | None = None
         while True:
             try:
-                parcel = ask_for(self._bus, key, submit, row.time_limit_s, cancelled=self._closing, fetch=self._fetch)
+                parcel = ask_for(self._bus, key, submit, row.time_limit_s, cancelled=until, fetch=self._fetch)
             except RemoteError as error:
-                if error.failure.code not in AGAIN or self._closing.is_set():
+                if error.failure.code == "not_found" and not submit.fresh:
+                    submit = submit.model_copy(update={"fresh": True})  # large arrays have gone with their holder
+                    continue
+                if error.failure.code not in AGAIN or until.is_set():
                     raise
                 lost_since_s = lost_since_s or time.monotonic()
                 if time.monotonic() - lost_since_s > self._patience_s:
@@ -98,44 +115,52 @@ class Client:
                 time.sleep(0.2)
                 continue
             lost_since_s = None
-            if isinstance(parcel.message, Pending):
-                if on_pending is not None:
-                    on_pending(parcel.message)
-                continue
-            outcome = parcel.expect(Outcome)
-            if outcome.failure is not None:
-                raise RemoteError(outcome.failure)
-            return Answer(outcome.result or {}, parcel.arrays, outcome.worker, outcome.attempt, outcome.compute_s)
+            if not isinstance(parcel.message, Pending):
+                return _answer(parcel)
+            if on_pending is not None:
+                on_pending(parcel.message)
 
     def map(
         self, requests: Iterable[Request | Task], *, lanes: int = 8, limit_s: float = 600.0
     ) -> Iterator[tuple[int, Answer | RemoteError]]:
-        """(number, answer or failure) of each request as they come in, `lanes` of them under way at once."""
-        numbered = enumerate(requests)
+        """(number, answer or failure) of each request as they come in, `lanes` of them under way at once.
+
+        Left early, what is under way is withdrawn.
+        """
+        numbered, left = enumerate(requests), Interrupt()
         pool = ThreadPoolExecutor(lanes, thread_name_prefix="lane")
-        under_way: dict[Future[Answer], int] = {}
-        try:
-            while True:
-                while len(under_way) < lanes and (item := next(numbered, None)) is not None:
-                    under_way[pool.submit(self.run, item[1], limit_s=limit_s)] = item[0]
-                if not under_way:
-                    return
-                finished, _ = wait(under_way, return_when=FIRST_COMPLETED)
-                for future in finished:
-                    yield under_way.pop(future), _answer_or_failure(future)
-        finally:
-            if under_way:  # left early: nobody waits for these any more
-                self._closing.set()
-            pool.shutdown(wait=True, cancel_futures=True)
-            self._closing.clear()
+        under_way: dict[Future[Answer], tuple[int, Task]] = {}
+        with self._closing.ends(left.set):
+            try:
+                while True:
+                    while len(under_way) < lanes and (item := next(numbered, None)) is not None:
+                        number, task = item[0], as_task(item[1])
+                        under_way[pool.submit(self.run, task, limit_s=limit_s, until=left)] = number, task
+                    if not under_way:
+                        return
+                    finished, _ = wait(under_way, return_when=FIRST_COMPLETED)
+                    for future in finished:
+                        yield under_way.pop(future)[0], _answer_or_failure(future)
+            finally:
+                self._give_up([task for _, task in under_way.values()])
+                left.set()
+                pool.shutdown(wait=True, cancel_futures=True)
+
+    def _give_up(self, tasks: list[Task]) -> None:
+        """Withdraw what nobody here waits for any more; a controller that is not there forgets it by itself."""
+        for task in tasks:
+            try:
+                self.withdraw(task)
+            except LuxloopError:
+                return
 
     def fetch(self, sha256: str, size: int) -> bytes:
         """The blob of `size` bytes with this hash, from whoever holds it. Raises RemoteError not_found."""
         return self._fetch(sha256, size)
 
     def withdraw(self, request: Request | Task) -> None:
-        """Take a wish back; the task is cancelled unless somebody else waits for it."""
-        withdraw = Withdraw(task_id=as_task(request).id)
+        """Take this client's wish back; the task is cancelled unless another client waits for it."""
+        withdraw = Withdraw(task_id=as_task(request).id, asker=self._asker)
         ask_for(self._bus, at(self.settings.realm, "withdraw"), withdraw, KEYS["withdraw"].time_limit_s)
 
     def status(self, patience_s: float = 0.0) -> Status:
@@ -160,13 +185,13 @@ class Client:
         settings = settings.model_copy(update={"router": _free_endpoint()})
         process = subprocess.Popen(
             [sys.executable, "-m", "luxloop", "serve", "local", "--quiet"],
-            env=as_environment(settings) | {"LUXLOOP_WITH_PARENT": "1"},
+            env=as_environment(settings) | {"LUXLOOP_WITH_PARENT": str(os.getpid())},
             stdin=subprocess.DEVNULL,
             start_new_session=True,  # Ctrl-C is for us: we finish what we hold, then end the set
         )
         self._stack.callback(_stop, process)
         end_s = time.monotonic() + START_S
-        while not _listening(settings.router):
+        while not listening(settings.router):
             if process.poll() is not None or time.monotonic() > end_s:
                 self.close()
                 raise RemoteError(
@@ -204,6 +229,14 @@ def _stop(process: subprocess.Popen[bytes]) -> None:
         process.wait()
 
 
+def _answer(parcel: Parcel) -> Answer:
+    """A decoded outcome as an answer; a failure is raised."""
+    outcome = parcel.expect(Outcome)
+    if outcome.failure is not None:
+        raise RemoteError(outcome.failure)
+    return Answer(outcome.result or {}, parcel.arrays, outcome.worker, outcome.attempt, outcome.compute_s)
+
+
 def _answer_or_failure(future: Future[Answer]) -> Answer | RemoteError:
     try:
         return future.result()
@@ -213,23 +246,9 @@ def _answer_or_failure(future: Future[Answer]) -> Answer | RemoteError:
         return RemoteError(Failure.of(error))
 
 
-def _host_and_port(endpoint: str) -> tuple[str, int]:
-    host, _, port = endpoint.partition("/")[2].rpartition(":")
-    return host.strip("[]"), int(port)
-
-
 def _is_loopback(endpoint: str) -> bool:
-    host = _host_and_port(endpoint)[0]
+    host = host_and_port(endpoint)[0]
     return host == "localhost" or host == "::1" or host.startswith("127.")
-
-
-def _listening(endpoint: str) -> bool:
-    """Whether something accepts connections there: said at once, where opening a session would wait."""
-    try:
-        with socket.create_connection(_host_and_port(endpoint), timeout=2.0):
-            return True
-    except OSError:
-        return False
 
 
 def _free_endpoint() -> str:

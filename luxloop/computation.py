@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 from luxloop.bus.frame import Array
+from luxloop.failure import printable
 
 
 class Stopped(Exception):  # noqa: N818  not an error: the task was cancelled, or the worker leaves
@@ -24,7 +25,8 @@ class Progress:
 
     def report(self, ratio: float, note: str = "") -> None:
         """Note how far it is (0 to 1); raises Stopped where it is to end."""
-        self.ratio, self.note = min(max(ratio, 0.0), 1.0), note[:200]
+        self.ratio = min(ratio, 1.0) if ratio > 0.0 else 0.0  # NaN becomes 0
+        self.note = printable(note)[:200]
         if self.stop.is_set():
             raise Stopped
 

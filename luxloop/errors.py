@@ -17,7 +17,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from luxloop.messages import Failure
+    from luxloop.failure import Failure
 
 
 class LuxloopError(Exception):

@@ -6,81 +6,15 @@ client ──Submit──▶ controller ──Lease──▶ worker          Out
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Annotated, Any, Literal
+from typing import Literal
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import Field, model_validator
 
 from luxloop.errors import InputError
-from luxloop.words import Words, canonical, sha256_of
+from luxloop.failure import Failure
+from luxloop.words import Name, Plain, Sha256, Text, Words, sha256_of
 
 SCHEMA = 1  # of all messages together; a frame of another number is refused, naming both
-
-Code = Literal[
-    "bad_input",  # the request cannot be used; trying again will not help
-    "too_large",  # over the size limit of its key
-    "busy",  # a bounded queue is full; try again later
-    "version",  # the other side speaks another schema or is of another release
-    "no_router",  # no router at the endpoint
-    "no_controller",  # a router, but nobody who answers
-    "no_worker",  # nobody of that kind came within the task's patience
-    "worker_lost",  # workers died or fell silent while computing it, as often as is allowed
-    "crashed",  # the worker's computation raised, as often as is allowed
-    "cancelled",  # its submitters withdrew it
-    "stale",  # of an attempt or an epoch that is over
-    "refused",  # not permitted
-    "timed_out",  # over its own time limit
-    "not_found",  # a blob nobody holds, a task nobody knows
-    "unknown_effect",  # the worker does not know the effect, or another source of it
-]
-
-Name = Annotated[str, Field(min_length=1, max_length=100, pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")]
-Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
-Text = Annotated[str, Field(max_length=4000)]
-
-
-def _finite(values: dict[str, Any]) -> dict[str, Any]:
-    try:
-        canonical(values)
-    except (ValueError, TypeError, RecursionError) as error:
-        raise InputError("values", str(error)[:200], "JSON values and finite numbers only") from error
-    return values
-
-
-Plain = Annotated[dict[str, Any], AfterValidator(_finite)]
-
-
-class Failure(Words):
-    """Why something could not be done, typed: `code` for machines, the rest for a person."""
-
-    code: Code
-    message: Text
-    field: Text = ""
-    value: Text = ""
-    allowed: Text = ""
-    mend: Text = ""
-    where: Text = ""
-    history: tuple[Text, ...] = ()
-
-    def text(self) -> str:
-        """One line for a person: what, where, the mend, and what was tried before."""
-        parts = [self.message] + [f"[{self.where}]"] * bool(self.where)
-        parts += [f"mend: {self.mend}"] * (bool(self.mend) and self.mend not in self.message)
-        return f"{self.code}: " + "; ".join(parts + list(self.history))
-
-    @classmethod
-    def of(cls, error: Exception, where: str = "") -> Failure:
-        """An exception as a message: `InputError` keeps its fields, anything else is a crash of that side."""
-        if isinstance(error, InputError):
-            return cls(
-                code="bad_input",
-                message=str(error)[:4000],
-                field=error.field[:4000],
-                value=repr(error.value)[:200],
-                allowed=error.allowed[:4000],
-                mend=error.mend[:4000],
-                where=where,
-            )
-        return cls(code="crashed", message=f"{type(error).__name__}: {error}"[:4000], where=where)
 
 
 class Task(Words):
@@ -104,6 +38,8 @@ class Submit(Words):
     """A client asks for a task's outcome; the query is held until it is there or the hold is over."""
 
     task: Task
+    asker: Name
+    fresh: bool = Field(False, description="compute it again, although a finished result is kept")
     patience_s: float = Field(30.0, ge=0.0, le=86400.0, description="how long to wait for a worker to appear")
     limit_s: float = Field(600.0, gt=0.0, le=86400.0, description="longest computation of one attempt")
 
@@ -138,6 +74,7 @@ class Withdraw(Words):
     """A client no longer wants a task; it is cancelled when nobody else waits for it."""
 
     task_id: Sha256
+    asker: Name
 
 
 class Describe(Words):
@@ -152,10 +89,22 @@ class Describe(Words):
     catalogue: Plain = Field(default_factory=dict)
 
 
+class Held(Words):
+    """An attempt in a worker's hands."""
+
+    task_id: Sha256
+    attempt: int
+    epoch: Name
+
+
 class Hello(Words):
-    """A worker introduces itself to the controller; answered by `Welcome` or a `Failure`."""
+    """A worker introduces itself to the controller; answered by `Welcome` or a `Failure`.
+
+    `holding` is what it computes at that moment: it may keep what is still its own, and is told to drop the rest.
+    """
 
     describe: Describe
+    holding: tuple[Held, ...] = Field((), max_length=64)
 
 
 class Welcome(Words):
@@ -231,6 +180,10 @@ class Cancel(Words):
     attempt: int
 
 
+class Introduce(Words):
+    """The controller hears a worker that it does not know (any more): let it say hello with what it holds."""
+
+
 class StatusAsked(Words):
     """Anybody asks the controller how things stand."""
 
@@ -273,8 +226,9 @@ class BlobAsked(Words):
 
 
 class BlobPiece(Words):
-    """Where the piece lies in the whole."""
+    """Where the piece lies in the whole, and who holds it: the next piece is asked of that one only."""
 
+    holder: Name
     offset: int
     total_bytes: int
 
@@ -283,6 +237,6 @@ MESSAGES: dict[str, type[Words]] = {
     model.__name__: model
     for model in (
         Failure, Submit, Outcome, Pending, Withdraw, Hello, Welcome, Pull, Lease, Nothing, Done, Receipt,
-        Heartbeat, Cancel, StatusAsked, Status, BlobAsked, BlobPiece,
+        Heartbeat, Cancel, Introduce, StatusAsked, Status, BlobAsked, BlobPiece,
     )
 }  # fmt: skip

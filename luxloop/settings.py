@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
+import tempfile
 from pathlib import Path
+from typing import Self
 
-from pydantic import Field, ValidationError
+from pydantic import Field, ValidationError, field_validator, model_validator
 from pydantic_settings import (
     BaseSettings,
     PydanticBaseSettingsSource,
@@ -13,28 +15,62 @@ from pydantic_settings import (
     TomlConfigSettingsSource,
 )
 
+from luxloop.endpoint import checked
 from luxloop.errors import InputError
 from luxloop.words import as_input_error
 
 DEFAULT_ROUTER = "tcp/127.0.0.1:7447"
+BEATS_IN_SILENCE = 3.0  # a beat may be late, and one may be lost
+PROBE_BYTES = 1 << 16
 
 
 class Settings(BaseSettings):
     """Where the router is, where things are kept, how patient this process is."""
 
     model_config = SettingsConfigDict(
-        env_prefix="LUXLOOP_", toml_file="luxloop.toml", extra="forbid", frozen=True, validate_default=True
+        env_prefix="LUXLOOP_",
+        env_ignore_empty=True,
+        toml_file="luxloop.toml",
+        extra="forbid",
+        frozen=True,
+        validate_default=True,
+        allow_inf_nan=False,
     )
 
-    router: str = Field(DEFAULT_ROUTER, pattern=r"^(tcp|tls)/.+:\d{1,5}$", description="endpoint of the router")
+    router: str = Field(DEFAULT_ROUTER, description="endpoint of the router")
     realm: str = Field("luxloop", pattern=r"^[a-z0-9][a-z0-9-]{0,40}$", description="separates sets on one router")
     cache: Path = Field(Path("~/.cache/luxloop"), description="film database, stored arrays, compiled kernels")
     effects: Path = Field(Path("effects"), description="folder of the user's own effects")
-    heartbeat_s: float = Field(1.0, gt=0.0, le=10.0, description="how often a worker says how far it is")
+    heartbeat_s: float = Field(1.0, ge=0.01, le=10.0, description="how often a worker says how far it is")
     silence_s: float = Field(6.0, gt=0.0, le=600.0, description="a worker not heard for so long loses its task")
     attempts: int = Field(3, ge=1, le=20, description="how often a task is tried before it is set aside")
     queue_tasks: int = Field(100_000, ge=1, description="tasks waiting at the controller before it says busy")
-    keep_results_mb: float = Field(256.0, ge=0.0, description="finished results the controller keeps for askers")
+    keep_results_mb: float = Field(
+        256.0, ge=0.0, le=1e6, description="finished results the controller keeps for askers"
+    )
+
+    @field_validator("router")
+    @classmethod
+    def _reachable(cls, router: str) -> str:
+        return checked(router)
+
+    @field_validator("cache")
+    @classmethod
+    def _somebodys(cls, cache: Path) -> Path:
+        try:
+            cache.expanduser()
+        except RuntimeError as error:  # ~nosuchuser
+            raise InputError("cache", str(cache), "a folder", "name it without ~, or give it your own ~/") from error
+        return cache
+
+    @model_validator(mode="after")
+    def _silence_outlasts_beats(self) -> Self:
+        least_s = BEATS_IN_SILENCE * self.heartbeat_s
+        if self.silence_s < least_s:
+            mend = "a worker would be given up between two beats: raise silence_s or lower heartbeat_s"
+            allowed = f"at least {BEATS_IN_SILENCE:g} x heartbeat_s = {least_s:g}"
+            raise InputError("silence_s", self.silence_s, allowed, mend)
+        return self
 
     @property
     def cache_dir(self) -> Path:
@@ -61,6 +97,25 @@ def load_settings(**given: object) -> Settings:
         raise as_input_error(error, "settings (command line, LUXLOOP_* or luxloop.toml)") from error
     except (OSError, ValueError) as error:
         raise InputError("luxloop.toml", str(error), "a TOML file with the fields of the settings") from error
+
+
+def usable_cache(settings: Settings) -> Path:
+    """The cache folder, made where it was not there, after a file could be written into it.
+
+    Raises InputError naming LUXLOOP_CACHE, the folder and what is wrong with it. A command asks before it starts
+    anything: found out by a worker, the same would end as "no worker came".
+    """
+    folder = settings.cache_dir
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder) as probe:
+            probe.write(bytes(PROBE_BYTES))
+    except (OSError, ValueError) as error:  # ValueError: a name that no file can have
+        in_the_way = isinstance(error, FileExistsError | NotADirectoryError)
+        why = "a file is in the way" if in_the_way else getattr(error, "strerror", None) or str(error)
+        mend = f"{why}: mend that, or set LUXLOOP_CACHE to another folder"
+        raise InputError("LUXLOOP_CACHE", str(folder), "a folder that can be made and written", mend) from error
+    return folder
 
 
 def as_environment(settings: Settings) -> dict[str, str]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import os
 import tempfile
+import time
 from pathlib import Path
 
 from luxloop.errors import InputError
@@ -23,12 +24,15 @@ class BlobStore:
     def __init__(self, folder: Path, max_bytes: int = MAX_BYTES) -> None:
         self._folder, self._max_bytes = folder, max_bytes
         self._written_bytes = 0
+        self._verified: tuple[str, int, int] | None = None
 
     def keep(self, raw: bytes) -> str:
         """Store `raw` and return its SHA-256."""
         sha256 = hashlib.sha256(raw).hexdigest()
         path = self._path(sha256)
-        if not path.exists():
+        if path.exists():
+            os.utime(path)
+        else:
             path.parent.mkdir(parents=True, exist_ok=True)
             handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=".new-")
             with os.fdopen(handle, "wb") as file:
@@ -44,13 +48,33 @@ class BlobStore:
         path = self._path(sha256)
         try:
             raw = path.read_bytes()
-            os.utime(path)
-        except FileNotFoundError:
-            return None
-        if hashlib.sha256(raw).hexdigest() != sha256:
+            if hashlib.sha256(raw).hexdigest() == sha256:
+                os.utime(path)
+                return raw
             path.unlink(missing_ok=True)
+        except OSError:
+            pass  # not there, or not readable: as good as not held
+        return None
+
+    def piece(self, sha256: str, offset: int, length: int) -> tuple[bytes, int] | None:
+        """`length` bytes from `offset`, and the size of the whole; None where it is not held here.
+
+        The whole is hashed once for each state of its file, not for each piece.
+        """
+        path = self._path(sha256)
+        try:
+            state = path.stat()
+            seen = (sha256, state.st_size, state.st_ctime_ns)
+            if seen != self._verified:
+                if self.get(sha256) is None:
+                    return None
+                state = path.stat()  # reading it noted the use
+                self._verified = (sha256, state.st_size, state.st_ctime_ns)
+            with path.open("rb") as file:
+                file.seek(offset)
+                return file.read(length), state.st_size
+        except OSError:
             return None
-        return raw
 
     def prune(self) -> None:
         """Drop the least recently used blobs until the store is within its bound."""
@@ -59,8 +83,10 @@ class BlobStore:
         for path in self._folder.glob("*/*"):
             try:
                 state = path.stat()
-            except FileNotFoundError:  # another process pruned it first
+            except OSError:  # another process pruned it first
                 continue
+            if path.name.startswith(".new-") and time.time() - state.st_mtime < 3600.0:
+                continue  # somebody is writing it
             found.append((state.st_mtime, state.st_size, path))
         total = sum(size for _, size, _ in found)
         for _, size, path in sorted(found):

@@ -9,9 +9,9 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from luxloop.errors import InputError
 
@@ -72,3 +72,19 @@ def as_input_error(error: ValidationError, where: str = "") -> InputError:
         mend = f"{mend}; {len(others)} more wrong" if mend else f"{len(others)} more wrong"
     allowed = first["msg"].removeprefix("Input should be ").removeprefix("Value error, ")
     return InputError(f"{where}: {path}" if where else path, first["input"], allowed, mend)
+
+
+Name = Annotated[str, Field(min_length=1, max_length=100, pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")]
+Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+Text = Annotated[str, Field(max_length=4000)]
+
+
+def _finite(values: dict[str, Any]) -> dict[str, Any]:
+    try:
+        canonical(values)
+    except (ValueError, TypeError, RecursionError) as error:
+        raise InputError("values", str(error)[:200], "JSON values and finite numbers only") from error
+    return values
+
+
+Plain = Annotated[dict[str, Any], AfterValidator(_finite)]

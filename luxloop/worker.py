@@ -25,24 +25,28 @@ from luxloop.bus.frame import Array, decode, encode
 from luxloop.bus.keys import KEYS, at
 from luxloop.computation import Computation, Progress, Stopped
 from luxloop.errors import LuxloopError, RemoteError
+from luxloop.failure import Failure, printable
 from luxloop.messages import (
     Cancel,
     Describe,
     Done,
-    Failure,
     Heartbeat,
+    Held,
     Hello,
+    Introduce,
     Lease,
     Outcome,
     Pull,
     Receipt,
     Welcome,
 )
+from luxloop.process import orphaned, resident_mb
 from luxloop.settings import Settings
 from luxloop.store import BlobStore
 
 FINISH_S = 2.5
 LEAVE_S = 4.0
+GRACE_S = 10.0  # a cancelled computation that goes on for so long is ended with its process
 WAITABLE = ("no_router", "no_controller", "timed_out", "busy", "refused", "cancelled")
 
 
@@ -60,6 +64,8 @@ class Worker:
         self._lease: Lease | None = None
         self._began_s = 0.0
         self._progress = Progress()
+        self._stopped: Lease | None = None  # the attempt that was cancelled, and when
+        self._stopped_s = float("inf")
         self._error: LuxloopError | None = None
 
     def run(self) -> None:
@@ -67,7 +73,7 @@ class Worker:
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, lambda *_: self._leaving.set())
         self._bus.subscribe(self._key("cancel"), self._inbox)
-        self._bus.answer(at(self._realm, "blob"), self._inbox)
+        self._bus.answer(at(self._realm, "blob", worker=self.name), self._inbox)
         self._bus.announce(at(self._realm, "alive", role="worker", kind=self._kind, name=self.name))
         working = threading.Thread(target=self._work, name="work", daemon=True)
         working.start()
@@ -78,18 +84,19 @@ class Worker:
 
     def _attend(self, working: threading.Thread) -> None:
         """Beat, serve and listen until it is time to leave."""
-        next_beat_s, parent = time.monotonic(), os.getppid()
-        while not self._leaving.is_set() and working.is_alive():
+        next_beat_s = time.monotonic()
+        while not self._leaving.is_set() and working.is_alive() and not orphaned():
             if time.monotonic() >= next_beat_s:
                 self._beat()
                 next_beat_s = time.monotonic() + self._settings.heartbeat_s
-                if os.environ.get("LUXLOOP_WITH_PARENT") == "1" and os.getppid() != parent:
-                    return  # whoever started this worker was killed
             event = self._inbox.take(min(0.25, max(next_beat_s - time.monotonic(), 0.001)))
             if isinstance(event, Asked):
-                serve_piece(event, lambda sha256: self._store.get(sha256) or self._computation.blob(sha256))
+                serve_piece(event, self._piece, self.name)
             elif isinstance(event, Heard):
-                self._cancel(event.frame)
+                self._hear(event.frame)
+            if time.monotonic() - self._stopped_s > GRACE_S and self._lease is self._stopped:
+                self._error = LuxloopError(f"{self.name}: a cancelled computation did not end within {GRACE_S:g} s")
+                return
 
     def _leave(self, working: threading.Thread) -> None:
         """Finish what is nearly done, hand back the rest, and go within `LEAVE_S`."""
@@ -102,7 +109,7 @@ class Worker:
             self._hand_back(self._lease)
         self._bus.close()
         if working.is_alive():  # a computation that never looks up: nothing else ends it
-            os._exit(0)
+            os._exit(0 if self._error is None else 1)
 
     def _work(self) -> None:
         try:
@@ -135,12 +142,13 @@ class Worker:
             if error.failure.code == "stale":
                 self._epoch = ""
                 return None
-            if error.failure.code not in WAITABLE:
+            if error.failure.code == "version":
                 raise
             self._leaving.wait(0.3)
             return None
 
-    def _say_hello(self) -> str:
+    def _say_hello(self, holding: Lease | None = None) -> str:
+        """Introduce this worker, with what it computes at the moment; the controller's epoch."""
         describe = Describe(
             worker=self.name,
             kind=self._kind,
@@ -149,30 +157,37 @@ class Worker:
             pid=os.getpid(),
             catalogue=self._computation.catalogue(),
         )
+        held = [Held(task_id=o.task.id, attempt=o.attempt, epoch=o.epoch) for o in [holding] if o is not None]
+        hello = Hello(describe=describe, holding=tuple(held))
         key = at(self._realm, "hello", kind=self._kind)
-        return ask_for(self._bus, key, Hello(describe=describe), KEYS["hello"].time_limit_s).expect(Welcome).epoch
+        return ask_for(self._bus, key, hello, KEYS["hello"].time_limit_s).expect(Welcome).epoch
 
     def _attempt(self, lease: Lease) -> bytes | None:
         """Compute a lease; the frame to deliver, or None where it was stopped."""
         self._progress = Progress()
         self._began_s, self._lease = time.monotonic(), lease
-        arrays: Mapping[str, Array] = {}
         try:
             if lease.task.version != __version__:
                 raise RemoteError(_other_version(lease.task.version))
             result, arrays = self._computation.compute(lease.task.inputs, self._progress)
-            _refuse_nan(arrays)
-            outcome = self._outcome(lease, result=result)
-            return encode(self._done(lease, outcome), arrays, self._store.keep)
         except Stopped:
             if self._leaving.is_set():
                 self._hand_back(lease)
             self._lease = None
             return None
         except RemoteError as error:
-            return encode(self._done(lease, self._outcome(lease, failure=error.failure)))
-        except Exception as error:  # noqa: BLE001  whatever a computation raises becomes a Failure; the worker goes on
-            return encode(self._done(lease, self._outcome(lease, failure=Failure.of(error, self.name))))
+            return self._failed(lease, error.failure)
+        except BaseException as error:  # noqa: BLE001  whatever it raises, SystemExit too, becomes a Failure
+            return self._failed(lease, Failure.of(error, self.name))
+        try:
+            _refuse_nan(arrays)
+            outcome = self._outcome(lease, result=result)
+            return encode(self._done(lease, outcome), arrays, self._store.keep)
+        except Exception as error:  # noqa: BLE001  a result that cannot be sent is this side's fault, not the asker's
+            return self._failed(lease, Failure(code="crashed", message=printable(str(error))[:4000], where=self.name))
+
+    def _failed(self, lease: Lease, failure: Failure) -> bytes:
+        return encode(self._done(lease, self._outcome(lease, failure=failure)))
 
     def _outcome(self, lease: Lease, result: dict[str, Any] | None = None, failure: Failure | None = None) -> Outcome:
         return Outcome(
@@ -203,7 +218,7 @@ class Worker:
                 receipt = ask_for(self._bus, self._key("done"), done, KEYS["done"].time_limit_s).expect(Receipt)
             except RemoteError as error:
                 if error.failure.code not in WAITABLE:  # it will never be taken as it is: say so instead
-                    done = encode(self._done(lease, self._outcome(lease, failure=error.failure)))
+                    done = self._failed(lease, error.failure)
                 if self._leaving.is_set():
                     give_up_s = min(give_up_s, time.monotonic() + FINISH_S)
                 time.sleep(0.2)
@@ -234,26 +249,32 @@ class Worker:
         )
         self._bus.publish(at(self._realm, "heartbeat", kind=self._kind, worker=self.name), encode(beat))
 
-    def _cancel(self, frame: bytes) -> None:
+    def _hear(self, frame: bytes) -> None:
+        """The controller says: drop an attempt, or introduce yourself with what you hold."""
         try:
-            cancel = decode(frame).expect(Cancel)
+            message = decode(frame).message
+            if isinstance(message, Introduce):
+                self._epoch = self._say_hello(self._lease)
         except LuxloopError:
-            return  # not a message of ours
+            return  # not a message of ours, or nobody there to say hello to: the next beat is answered again
         lease = self._lease
-        if lease is not None and (lease.task.id, lease.attempt) == (cancel.task_id, cancel.attempt):
+        if (
+            isinstance(message, Cancel)
+            and lease is not None
+            and (lease.task.id, lease.attempt) == (message.task_id, message.attempt)
+        ):
             self._progress.stop.set()
+            self._stopped, self._stopped_s = lease, time.monotonic()
+
+    def _piece(self, sha256: str, offset: int, length: int) -> tuple[bytes, int] | None:
+        """A piece of a blob: of the large arrays sent, or of the computation's own store."""
+        held = self._store.piece(sha256, offset, length)
+        if held is None and (whole := self._computation.blob(sha256)) is not None:
+            held = whole[offset : offset + length], len(whole)
+        return held
 
     def _key(self, row: str) -> str:
         return at(self._realm, row, kind=self._kind, worker=self.name)
-
-
-def resident_mb() -> float:
-    """Resident memory of this process in MB; 0 where the system does not say."""
-    try:
-        with open("/proc/self/statm") as file:
-            return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
-    except OSError:
-        return 0.0
 
 
 def _refuse_nan(arrays: Mapping[str, Array]) -> None:

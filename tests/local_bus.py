@@ -13,7 +13,7 @@ from luxloop.bus import Asked, Heard, Inbox, Interrupt, Presence, busy, too_larg
 from luxloop.bus.frame import FRAME_BYTES
 from luxloop.bus.keys import KEYS, name_of
 from luxloop.errors import RemoteError
-from luxloop.messages import Failure
+from luxloop.failure import Failure
 
 
 def matches(expression: str, key: str) -> bool:
@@ -21,7 +21,7 @@ def matches(expression: str, key: str) -> bool:
     want, have = expression.split("/"), key.split("/")
     if want[-1] == "**":
         want, have = want[:-1], have[: len(want) - 1]
-    return len(want) == len(have) and all(w in ("*", h) for w, h in zip(want, have, strict=True))
+    return len(want) == len(have) and all("*" in (w, h) or w == h for w, h in zip(want, have, strict=True))
 
 
 class LocalRouter:
@@ -86,6 +86,9 @@ class LocalBus:
             self._watches.append((key_expr, inbox))
             for key in self.present(key_expr):
                 inbox.offer(Presence(key, alive=True))
+
+    def connected(self) -> bool:
+        return True
 
     def close(self) -> None:
         with self._router.lock:

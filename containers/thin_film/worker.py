@@ -18,8 +18,8 @@ from containers.thin_film.table import VERSION, FilmTable, film_table
 from luxloop.bus.frame import Array
 from luxloop.computation import Progress
 from luxloop.errors import RemoteError
+from luxloop.failure import Failure
 from luxloop.film import FILM_REQUEST, KIND, FilmMeasurementRequest, FilmTableRequest
-from luxloop.messages import Failure
 from luxloop.stack import Stack
 from luxloop.words import as_input_error, sha256_of
 

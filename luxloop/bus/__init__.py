@@ -9,8 +9,8 @@ dropped. No answer is not an answer: `ask` returns a frame or raises `RemoteErro
 
 from __future__ import annotations
 
-import queue
 import threading
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -19,10 +19,11 @@ from typing import Protocol
 
 from luxloop.bus.frame import Parcel, decode, encode
 from luxloop.errors import InputError, RemoteError
-from luxloop.messages import Failure
+from luxloop.failure import Failure
 from luxloop.words import Words
 
 INBOX_ITEMS = 1024
+INBOX_BYTES = 256 << 20
 
 
 @dataclass(frozen=True)
@@ -83,36 +84,41 @@ class Interrupt(threading.Event):
 
 
 class Inbox:
-    """A bounded queue between the bus's threads and its owner's."""
+    """A bounded queue between the bus's threads and its owner's: bounded in items and in bytes."""
 
-    def __init__(self, size: int = INBOX_ITEMS) -> None:
-        self._queue: queue.Queue[Event] = queue.Queue(size)
+    def __init__(self, items: int = INBOX_ITEMS, max_bytes: int = INBOX_BYTES) -> None:
+        self._events: deque[Event] = deque()
+        self._filled = threading.Condition()
+        self._items, self._max_bytes, self._bytes = items, max_bytes, 0
         self.dropped = 0
 
     def offer(self, event: Event) -> bool:
-        """Put an event without waiting; False where the queue is full. Presence is never dropped."""
-        if isinstance(event, Presence):
-            with self._queue.mutex:  # losing one would keep a dead worker's tasks for ever
-                self._queue.queue.append(event)
-                self._queue.unfinished_tasks += 1
-                self._queue.not_empty.notify()
-            return True
-        try:
-            self._queue.put_nowait(event)
-        except queue.Full:
-            self.dropped += 1
-            return False
+        """Put an event without waiting; False where there is no room. Presence always has room.
+
+        Losing a Presence would keep a dead worker's tasks for ever.
+        """
+        size = 0 if isinstance(event, Presence) else len(event.frame)
+        with self._filled:
+            full = len(self._events) >= self._items or self._bytes + size > self._max_bytes
+            if full and not isinstance(event, Presence):
+                self.dropped += 1
+                return False
+            self._events.append(event)
+            self._bytes += size
+            self._filled.notify()
         return True
 
     def take(self, timeout_s: float) -> Event | None:
         """The next event, or None after `timeout_s`."""
-        try:
-            return self._queue.get(timeout=timeout_s) if timeout_s > 0 else self._queue.get_nowait()
-        except queue.Empty:
-            return None
+        with self._filled:
+            if not self._filled.wait_for(lambda: self._events, timeout_s):
+                return None
+            event = self._events.popleft()
+            self._bytes -= 0 if isinstance(event, Presence) else len(event.frame)
+            return event
 
     def __len__(self) -> int:
-        return self._queue.qsize()
+        return len(self._events)
 
 
 class Bus(Protocol):
@@ -144,6 +150,10 @@ class Bus(Protocol):
 
     def watch(self, key_expr: str, inbox: Inbox) -> None:
         """Tokens held now and from now on arrive in `inbox` as `Presence`."""
+        ...
+
+    def connected(self) -> bool:
+        """Whether the others can be reached at this moment."""
         ...
 
     def close(self) -> None:

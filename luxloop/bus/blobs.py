@@ -8,9 +8,10 @@ import numpy as np
 
 from luxloop.bus import Asked, Bus, ask_for
 from luxloop.bus.frame import ARRAY_BYTES, decode, encode
-from luxloop.bus.keys import KEYS, at, last_part
+from luxloop.bus.keys import KEYS, at
 from luxloop.errors import InputError, LuxloopError
-from luxloop.messages import BlobAsked, BlobPiece, Failure
+from luxloop.failure import Failure
+from luxloop.messages import BlobAsked, BlobPiece
 from luxloop.store import BlobStore
 
 
@@ -23,16 +24,15 @@ def fetcher(bus: Bus, realm: str, store: BlobStore) -> Callable[[str, int], byte
             return held
         if size > ARRAY_BYTES:
             raise InputError("blob", f"{size} bytes", f"at most {ARRAY_BYTES} bytes")
-        key, pieces, offset = at(realm, "blob", sha256=sha256), [], 0
+        pieces, offset, holder = [], 0, "*"
         while offset < size:
+            key = at(realm, "blob", sha256=sha256, worker=holder)
             parcel = ask_for(bus, key, BlobAsked(offset=offset), KEYS["blob"].time_limit_s)
-            piece = parcel.arrays["piece"].tobytes()
-            if parcel.expect(BlobPiece).total_bytes != size or not piece:
-                raise InputError(
-                    "blob", f"{parcel.expect(BlobPiece).total_bytes} bytes", f"{size} bytes as announced"
-                )
+            told, piece = parcel.expect(BlobPiece), parcel.arrays["piece"].tobytes()
+            if told.total_bytes != size or not piece:
+                raise InputError("blob", f"{told.total_bytes} bytes", f"{size} bytes as announced")
             pieces.append(piece)
-            offset += len(piece)
+            offset, holder = offset + len(piece), told.holder
         raw = b"".join(pieces)
         if store.keep(raw) != sha256:
             raise InputError("blob", f"{len(raw)} bytes", f"bytes with SHA-256 {sha256}", "fetch it again")
@@ -41,15 +41,19 @@ def fetcher(bus: Bus, realm: str, store: BlobStore) -> Callable[[str, int], byte
     return fetch
 
 
-def serve_piece(asked: Asked, source: Callable[[str], bytes | None]) -> None:
-    """Answer a question for a piece, or drop it where the blob is not held here: somebody else may have it."""
+Source = Callable[[str, int, int], tuple[bytes, int] | None]
+"""(sha256, offset, length) -> the piece and the size of the whole, or None where it is not held."""
+
+
+def serve_piece(asked: Asked, source: Source, holder: str) -> None:
+    """Answer as `holder` a question for a piece, or drop it where the blob is not held: somebody else may have it."""
     try:
         want = decode(asked.frame).expect(BlobAsked)
-        raw = source(last_part(asked.key))
-        if raw is None:
+        found = source(asked.key.split("/")[-2], want.offset, want.length)
+        if found is None:
             asked.drop()
             return
-        piece = np.frombuffer(raw[want.offset : want.offset + want.length], dtype="|u1")
-        asked.reply(encode(BlobPiece(offset=want.offset, total_bytes=len(raw)), {"piece": piece}))
+        piece, total = np.frombuffer(found[0], dtype="|u1"), found[1]
+        asked.reply(encode(BlobPiece(holder=holder, offset=want.offset, total_bytes=total), {"piece": piece}))
     except LuxloopError as error:
         asked.reply(Failure.of(error, asked.key))

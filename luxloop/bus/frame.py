@@ -32,6 +32,7 @@ HEADER_BYTES = 1 << 20
 FRAME_BYTES = 16 << 20
 ARRAY_BYTES = 1 << 32
 USUAL_HEAD_BYTES = 100
+MAX_ARRAYS = 256
 DTYPES = ("<f8", "<f4", "<i8", "<i4", "<u8", "<u4", "<u2", "|u1")
 
 Array = NDArray[Any]
@@ -112,6 +113,8 @@ def decode(data: bytes, fetch: Callable[[str, int], bytes] | None = None) -> Par
         if len(raw) != size or hashlib.sha256(raw).hexdigest() != sha256:
             raise InputError(name, f"{len(raw)} bytes", f"{size} bytes with SHA-256 {sha256}", "send it again")
         arrays[name] = np.frombuffer(raw, dtype=dtype).reshape(shape)
+    if len(data) - offset >= 8:  # less is padding
+        raise InputError("frame", f"{len(data)} bytes", f"{offset} bytes as its head says")
     return Parcel(message, arrays)
 
 
@@ -163,14 +166,17 @@ _read_usual_head = lru_cache(64)(_read_head)  # messages without arrays have one
 def _specs(head: dict[str, Any]) -> list[tuple[str, str, tuple[int, ...], str, bool]]:
     """The arrays' descriptions, checked for type and size before anything is allocated."""
     specs = []
-    for spec in head.get("arrays", []):
+    announced = head.get("arrays")
+    if not isinstance(announced, list) or len(announced) > MAX_ARRAYS:
+        raise InputError("arrays", announced, f"a list of at most {MAX_ARRAYS}")
+    for spec in announced:
         try:
             name, dtype, sha256 = str(spec["name"]), str(spec["dtype"]), str(spec["sha256"])
-            shape = tuple(int(n) for n in spec["shape"])
-            inline = bool(spec["inline"])
-        except (KeyError, TypeError, ValueError) as error:
+            shape, inline = tuple(spec["shape"]), bool(spec["inline"])
+        except (KeyError, TypeError) as error:
             raise InputError("arrays", spec, "name, dtype, shape, sha256, inline") from error
-        if dtype not in DTYPES or any(n < 0 for n in shape) or len(shape) > 8 or prod(shape) > ARRAY_BYTES // 8:
+        sizes = all(type(n) is int and 0 <= n <= ARRAY_BYTES for n in shape)  # not bool, not float
+        if dtype not in DTYPES or not sizes or len(shape) > 8 or prod(max(n, 1) for n in shape) > ARRAY_BYTES // 8:
             raise InputError(f"arrays.{name}", (dtype, shape), f"dtype in {DTYPES}, at most {ARRAY_BYTES} bytes")
         specs.append((name, dtype, shape, sha256, inline))
     return specs

@@ -38,7 +38,7 @@ KEYS: dict[str, Key] = {
     "done": Key("done/{kind}", m.Done, m.Receipt, "controller", SHORT_S, True),
     "heartbeat": Key("heartbeat/{kind}/{worker}", m.Heartbeat, None, "controller", SHORT_S, False),
     "cancel": Key("cancel/{kind}/{worker}", m.Cancel, None, "worker", SHORT_S, False),
-    "blob": Key("blob/{sha256}", m.BlobAsked, m.BlobPiece, "anybody", SHORT_S, False),
+    "blob": Key("blob/{sha256}/{worker}", m.BlobAsked, m.BlobPiece, "anybody", SHORT_S, False),
     "alive": Key("alive/{role}/{kind}/{name}", m.Nothing, None, "anybody", SHORT_S, False),
 }
 
@@ -52,8 +52,9 @@ def at(realm: str, row: str, /, **parts: str) -> str:
 
 
 def name_of(key: str) -> str:
-    """The row's name of a full key."""
-    return key.split("/")[2]
+    """The row's name of a full key; empty where it is none of ours."""
+    parts = key.split("/")
+    return parts[2] if len(parts) > 2 else ""
 
 
 def last_part(key: str) -> str:

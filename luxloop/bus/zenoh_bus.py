@@ -20,8 +20,9 @@ import zenoh
 from luxloop.bus import Asked, Heard, Inbox, Interrupt, Presence, busy, too_large
 from luxloop.bus.frame import FRAME_BYTES
 from luxloop.bus.keys import KEYS, at, name_of
+from luxloop.endpoint import listening, refuse_taken
 from luxloop.errors import RemoteError
-from luxloop.messages import Code, Failure
+from luxloop.failure import Code, Failure
 from luxloop.settings import Settings
 
 LEASE_MS = 4000
@@ -134,7 +135,8 @@ class ZenohBus:
             return Failure(code="timed_out", message=f"no answer within {limit_s:g} s", where=key)
         if not self.connected():
             return _no_router(self._settings)
-        role = KEYS[name_of(key)].answered_by
+        row = KEYS.get(name_of(key))
+        role = row.answered_by if row else "anybody"
         held = role != "anybody" and self.present(at(self._settings.realm, "alive", role=role))
         code: Code = "no_controller" if role == "controller" else "not_found"
         if not held:
@@ -154,10 +156,11 @@ class ZenohBus:
 
 
 def run_router(settings: Settings, stop: threading.Event) -> None:
-    """Be the router at `settings.router` until `stop` is set."""
+    """Be the router at `settings.router` until `stop` is set. Raises LuxloopError where it cannot listen there."""
+    refuse_taken(settings.router)
     config = _base_config("router")
     config.insert_json5("listen", json.dumps({"endpoints": [settings.router], "exit_on_failure": True}))
-    session = _open(config, settings, listening=True)
+    session = _open(config, settings, as_router=True)
     try:
         stop.wait()
     finally:
@@ -193,20 +196,20 @@ def _client_config(settings: Settings, patient: bool) -> zenoh.Config:
     return config
 
 
-def _open(config: zenoh.Config, settings: Settings, *, listening: bool = False) -> zenoh.Session:
+def _open(config: zenoh.Config, settings: Settings, *, as_router: bool = False) -> zenoh.Session:
     zenoh.init_log_from_env_or("off")  # what goes wrong is said by our own errors; RUST_LOG shows zenoh's side
     try:
         return zenoh.open(config)
     except zenoh.ZError as error:
-        if listening:
+        if as_router:
             raise RemoteError(
                 Failure(
                     code="refused",
-                    message=f"cannot listen at {settings.router}: {error}",
+                    message=f"cannot listen at {settings.router}",  # zenoh's own text names its source files
                     mend="is the port taken? choose another with --router or LUXLOOP_ROUTER",
                 )
             ) from error
-        raise RemoteError(_no_router(settings)) from error
+        raise RemoteError(_stranger(settings) if listening(settings.router) else _no_router(settings)) from error
 
 
 def _no_router(settings: Settings) -> Failure:
@@ -217,12 +220,22 @@ def _no_router(settings: Settings) -> Failure:
     )
 
 
+def _stranger(settings: Settings) -> Failure:
+    return Failure(
+        code="no_router",
+        message=f"what listens at {settings.router} is no router of luxloop",
+        mend="choose another endpoint with LUXLOOP_ROUTER, or end the program that has this port",
+    )
+
+
 def _answerer(query: zenoh.Query, key: str) -> Callable[[bytes], None]:
     """Answer once and let go of the query, or its asker waits for its time limit."""
 
     def answer(frame: bytes) -> None:
         try:
-            query.reply(key, frame)
+            query.reply(key.replace("*", "_"), frame)  # a reply has a key without wildcards
+        except zenoh.ZError:
+            pass  # the asker has gone, or has its answer
         finally:
             query.drop()
 

@@ -26,8 +26,8 @@ class Story:
     def submit(self, task: str = A, **options: float) -> list[e.Command]:
         return self.core.handle(e.Submitted(self.now, task, "film", **options))  # type: ignore[arg-type]
 
-    def join(self, worker: str = "w1") -> list[e.Command]:
-        return self.core.handle(e.Joined(self.now, worker, "film"))
+    def join(self, worker: str = "w1", *holding: tuple[str, int]) -> list[e.Command]:
+        return self.core.handle(e.Joined(self.now, worker, "film", holding=holding))
 
     def poll(self, worker: str = "w1", holding: tuple[str, ...] = (), hold: bool = True) -> list[e.Command]:
         self.polls += 1
@@ -205,6 +205,77 @@ def test_an_unknown_worker_is_asked_to_introduce_itself() -> None:
     assert Story().poll("ghost") == [e.Introduce(1)]
 
 
+class TestComingBack:
+    """A worker that was lost sight of and still computes: the router restarted, the link was cut, we were busy."""
+
+    def test_it_keeps_the_lease_that_still_stands(self) -> None:
+        """Hello again with the attempt in hand changes nothing, and the result counts."""
+        story = Story().leased()
+        assert story.join("w1", (A, 1)) == []
+        assert e.Finish(A, "done") in story.deliver()
+
+    def test_it_goes_on_where_nobody_else_has_begun(self) -> None:
+        """Lost with its token, back before another took the task: same attempt, no failure noted any longer."""
+        story = Story().leased()
+        story.core.handle(e.Left(1.0, "w1"))
+        assert A in story.core.ready["film"]
+        assert story.join("w1", (A, 1)) == []
+        assert story.core.tasks[A].failures == []
+        assert A not in story.core.ready.get("film", {})
+        assert story.deliver() == [e.Receive("w1", A, 1, accepted=True), e.Finish(A, "done")]
+
+    def test_it_is_stopped_where_another_has_begun(self) -> None:
+        """Somebody else's attempt 2 runs: attempt 1 is dropped, and its result would be fenced."""
+        story = Story().leased()
+        story.core.handle(e.Left(1.0, "w1"))
+        story.join("w2")
+        assert story.poll("w2") == [e.Grant(2, "w2", A, 2)]
+        assert story.join("w1", (A, 1)) == [e.Stop("w1", A, 1)]
+        assert story.core.leases[A].worker == "w2"
+
+    def test_it_is_stopped_where_the_task_has_ended(self) -> None:
+        """Withdrawn or done meanwhile: drop it."""
+        story = Story().leased()
+        story.core.handle(e.Left(1.0, "w1"))
+        story.core.handle(e.Withdrawn(1.0, A))
+        assert story.join("w1", (A, 1)) == [e.Stop("w1", A, 1)]
+
+    def test_without_it_the_task_is_free_again(self) -> None:
+        """Back with empty hands: the task is queued at once, nobody to blame."""
+        story = Story().leased()
+        assert story.join("w1") == []
+        assert A in story.core.ready["film"]
+        assert story.core.tasks[A].failures == []
+
+    def test_a_link_of_ours_that_was_cut_is_nobody_s_fault(self) -> None:
+        """When it is the controller that lost the router, ten such losses do not set a task aside."""
+        story = Story(attempts=3)
+        story.submit()
+        for number in range(1, 11):
+            story.join()
+            assert story.poll() == [e.Grant(number, "w1", A, number)]
+            story.core.handle(e.Left(0.0, "w1", blame=False))
+        assert story.core.tasks[A].failures == []
+
+
+def test_a_poll_that_was_given_up_gets_no_task() -> None:
+    """A worker with one slot that polls anew has given the older poll up: the task goes to the new one."""
+    story = Story()
+    story.join()
+    assert story.poll() == []
+    assert story.poll() == [e.Release(1)]
+    assert story.submit() == [e.Grant(2, "w1", A, 1)]
+
+
+def test_nothing_is_left_of_a_kind_whose_queue_is_empty() -> None:
+    """Thousands of kinds that came once do not stay."""
+    story = Story()
+    for number in range(100):
+        story.core.handle(e.Submitted(0.0, f"{number:064x}", f"kind{number}"))
+        story.core.handle(e.Withdrawn(0.0, f"{number:064x}"))
+    assert story.core.ready == {}
+
+
 def test_the_story_of_a_task_names_each_step() -> None:
     """The story outlives the task and reads from submission to end."""
     story = Story().leased()
@@ -278,11 +349,13 @@ class FaultyWorld:
                 self.wanted[task] += 1
             self.send(e.Submitted(self.now, task, "film"))
         elif what == "join":
-            hand.clear()
-            self.send(e.Joined(self.now, worker, "film"))
+            if self.random.random() < 0.5:
+                hand.clear()
+            self.join(worker, hand)
         elif what == "left":
-            hand.clear()
-            self.send(e.Left(self.now, worker))
+            if self.random.random() < 0.5:  # else only its link was lost, and it computes on
+                hand.clear()
+            self.send(e.Left(self.now, worker, blame=self.random.random() < 0.7))
         elif what == "poll":
             self.polls += 1
             holding = tuple(task for task, _ in hand)
@@ -303,6 +376,18 @@ class FaultyWorld:
             self.send(e.Beat(self.now, worker))
         elif what == "withdraw" and self.random.random() < 0.3:
             self.send(e.Withdrawn(self.now, self.random.choice("abcdefgh") * 64))
+
+    def join(self, worker: str, hand: set[tuple[str, int]]) -> None:
+        """Say hello with all that is in hand; afterwards each is leased to this worker or it was told to stop."""
+        told = set()
+        for command in self.core.handle(e.Joined(self.now, worker, "film", holding=tuple(sorted(hand)))):
+            if isinstance(command, e.Stop) and command.worker == worker:
+                told.add((command.task_id, command.attempt))
+        kept = {(lease.task_id, lease.attempt) for lease in self.core.held_by(worker)}
+        assert kept == hand - told, "a returned worker keeps what it was told to drop, or the other way round"
+        self.old += [(worker, task, attempt) for task, attempt in told]
+        hand -= told
+        self.check()
 
     def deliver(self, worker: str, task: str, attempt: int, verdict: str) -> None:
         epoch = self.random.choice(["e1", "e1", "e1", "e0"])

@@ -14,7 +14,8 @@ from luxloop.bus.frame import FRAME_BYTES, decode, encode
 from luxloop.bus.keys import at
 from luxloop.bus.zenoh_bus import ZenohBus
 from luxloop.errors import RemoteError
-from luxloop.messages import Failure, Nothing, StatusAsked
+from luxloop.failure import Failure
+from luxloop.messages import Nothing, StatusAsked
 from luxloop.settings import Settings
 from tests.conftest import start, stop, wait_for
 
@@ -135,10 +136,18 @@ def test_a_full_inbox_answers_busy(new_bus: NewBus) -> None:
     inbox = Inbox(2)
     server.answer(STATUS, inbox)
     time.sleep(0.05)
-    for _ in range(2):
-        threading.Thread(target=lambda: failure_of(lambda: client.ask(STATUS, PING, 1.0)), daemon=True).start()
+    codes: list[str] = []
+    askers = [
+        threading.Thread(target=lambda: codes.append(failure_of(lambda: client.ask(STATUS, PING, 2.0)).code))
+        for _ in range(2)
+    ]
+    for asker in askers:
+        asker.start()
     wait_for(lambda: len(inbox) == 2, "the inbox to fill")
     assert decode(client.ask(STATUS, PING, 5.0)).expect(Failure).code == "busy"
+    for asker in askers:
+        asker.join(10)
+    assert codes == ["timed_out", "timed_out"]
 
 
 def test_thousands_of_unread_publications_do_not_block_the_bus(new_bus: NewBus) -> None:

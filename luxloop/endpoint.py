@@ -1,0 +1,80 @@
+"""The endpoint of a router, `tcp/HOST:PORT`: what may stand there, and whether a router could listen there."""
+
+from __future__ import annotations
+
+import errno
+import ipaddress
+import re
+import socket
+from typing import Any
+
+from luxloop.errors import InputError, LuxloopError
+
+ALLOWED = "tcp/HOST:PORT, HOST a name, an IPv4 address or an IPv6 address in brackets, PORT 1 to 65535"
+EXAMPLES = "e.g. tcp/127.0.0.1:7447 or tcp/[::1]:7447"
+PARTS = re.compile(r"tcp/(?:\[([0-9A-Fa-f:.]+)\]|([^\[\]:/]+)):([0-9]{1,5})")
+LABEL = re.compile(r"[A-Za-z0-9]([A-Za-z0-9-]{0,61}[A-Za-z0-9])?")
+
+
+def checked(endpoint: str) -> str:
+    """`endpoint`, or an InputError where it is none that both zenoh and the system's sockets take."""
+    if endpoint.startswith("tls/"):
+        raise InputError("router", endpoint, ALLOWED, f"tls is not built yet; {EXAMPLES}")
+    parts = PARTS.fullmatch(endpoint)
+    if parts is None or not 1 <= int(parts[3]) <= 65535 or not _is_host(parts[1], parts[2]):
+        raise InputError("router", endpoint, ALLOWED, EXAMPLES)
+    return endpoint
+
+
+def host_and_port(endpoint: str) -> tuple[str, int]:
+    """The two parts of `tcp/HOST:PORT`, an IPv6 address without its brackets."""
+    host, _, port = endpoint.partition("/")[2].rpartition(":")
+    return host.strip("[]"), int(port)
+
+
+def listening(endpoint: str) -> bool:
+    """Whether something accepts connections there: said at once, where opening a session would wait."""
+    try:
+        with socket.create_connection(host_and_port(endpoint), timeout=2.0):
+            return True
+    except (OSError, UnicodeError):
+        return False
+
+
+def refuse_taken(endpoint: str) -> None:
+    """Raises LuxloopError, with the mend, where no router could listen at `endpoint` now; returns nothing."""
+    host, port = host_and_port(endpoint)
+    try:
+        wrong = [_refusal(*address) for address in socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)]
+    except OSError as error:  # no such host
+        wrong = [error]
+    if None in wrong:  # a name may have several addresses: one is enough
+        return
+    taken = any(error is not None and error.errno == errno.EADDRINUSE for error in wrong)
+    why = "something listens there already" if taken else getattr(wrong[0], "strerror", None) or str(wrong[0])
+    look = "use it as it is (luxloop doctor says what it is), or " if taken else ""
+    raise LuxloopError(f"cannot listen at {endpoint}: {why}; {look}choose another with --router or LUXLOOP_ROUTER")
+
+
+def _refusal(family: int, kind: int, protocol: int, _name: str, address: tuple[Any, ...]) -> OSError | None:
+    """What the system says against listening at this address; as for zenoh, one that listened before is no hurdle."""
+    try:
+        with socket.socket(family, kind, protocol) as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            probe.bind(address)
+    except OSError as error:
+        return error
+    return None
+
+
+def _is_host(ipv6: str | None, name: str) -> bool:
+    """Whether this is an IPv6 address, or a name or IPv4 address: what ends with a number must be an address."""
+    try:
+        if ipv6 is not None:
+            return bool(ipaddress.IPv6Address(ipv6))
+        labels = name.split(".")
+        if labels[-1].isdecimal():
+            return bool(ipaddress.IPv4Address(name))
+    except ValueError:
+        return False
+    return len(name) <= 253 and all(map(LABEL.fullmatch, labels))
