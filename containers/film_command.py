@@ -3,21 +3,26 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+import shutil
+import sys
+from collections.abc import Callable, Sequence
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from containers.asking import answers, connected, fetched
+from containers.film_text import as_text
 from containers.typed import check_file, numbers, parse_stack
-from luxloop.errors import InputError, RemoteError
+from luxloop.errors import InputError
 from luxloop.model_file import find_model
-from luxloop.settings import load_settings
+from luxloop.settings import load_settings, usable_cache
 
 if TYPE_CHECKING:
     from containers.thin_film.table import FilmTable
-    from luxloop.client import Answer, Client
+    from luxloop.client import Client
+    from luxloop.film import FilmMeasurementRequest, FilmTableRequest
     from luxloop.model import Model
 
 Against = Literal["angle", "wavelength"]
@@ -57,30 +62,36 @@ def film(
         ),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", help="Say nothing on stderr but errors.")] = False,
 ) -> None:
     """Reflectance, transmittance or ellipsometry of a stack against angle or wavelength."""
-    from luxloop.client import Client
-
     if (pairs is None) == (stack is None):
         raise InputError("--pairs", pairs, "--pairs or --stack", "give exactly one of the two")
+    question = _Question(
+        find_model(model), model, pairs, stack, quantity, against, angles, wavelengths, side, polarisation, bandwidth
+    )
+    measurements = question.measurements(dense=plot is not None)
+    table_requests = question.table_requests() if tables or export is not None else []
+    if export is not None and len(table_requests) != 1:
+        raise InputError("--export", str(export), "one number of pairs", "export one DBR at a time")
     check_file("--plot", plot, (".png",))
     check_file("--export", export, EXPORTS)
-    chosen = find_model(model)
-    question = _Question(
-        chosen, model, pairs, stack, quantity, against, angles, wavelengths, side, polarisation, bandwidth
-    )
-    with Client(load_settings()) as client:
-        document = question.ask(client, dense=plot is not None)
-        if tables or export is not None:
-            fetched = question.fetch_tables(client, document)
+    draw = _view(plot) if plot is not None else None
+    settings = load_settings()
+    usable_cache(settings)
+    show = sys.stderr.isatty() and not (as_json or quiet)
+    with connected(settings, show) as client:
+        document = question.ask(client, measurements, show)
+        film_tables = question.fetch_tables(client, table_requests, document, show) if table_requests else []
     if export is not None:
         from containers.film_export import export_table
 
-        document["export"] = {"file": str(export), "lost": export_table(fetched, question.side, export)}
-    if plot is not None:
-        _draw(document, plot)
+        document["export"] = {"file": str(export), "lost": export_table(film_tables[0], question.side, export)}
+    if plot is not None and draw is not None:
+        draw(document, plot)
         document["plot"] = str(plot)
-    typer.echo(json.dumps(document) if as_json else _as_text(document))
+    columns = shutil.get_terminal_size().columns if sys.stdout.isatty() else None
+    typer.echo(json.dumps(document) if as_json else as_text(document, columns))
 
 
 class _Question:
@@ -123,13 +134,47 @@ class _Question:
         """What runs down the table."""
         return self.angles_deg if self.against == "angle" else self.wavelengths_nm
 
-    def ask(self, client: Client, *, dense: bool) -> dict[str, Any]:
-        """The result document; with `dense` also the curves' finer points, for a plot."""
-        films: list[dict[str, Any]] = [{"dbr_pairs": p} for p in self.pairs] or [{"stack": str(self.stack)}]
-        fine = [self.axis[0] + (self.axis[-1] - self.axis[0]) * i / (CURVE_POINTS - 1) for i in range(CURVE_POINTS)]
-        for values, name in [(self.axis, "values")] + [(fine, "curve")] * dense:
-            requests = [self._request(film, values) for film in films]
-            for number, answer in _answers(client, requests, "points of the curves" if name == "curve" else "films"):
+    @property
+    def curve_axis(self) -> list[float]:
+        """The finer points that a plot is drawn through."""
+        first, last = self.axis[0], self.axis[-1]
+        return [first + (last - first) * i / (CURVE_POINTS - 1) for i in range(CURVE_POINTS)]
+
+    @property
+    def films(self) -> list[dict[str, Any]]:
+        """What each column is about."""
+        return [{"dbr_pairs": p} for p in self.pairs] or [{"stack": str(self.stack)}]
+
+    def measurements(self, *, dense: bool) -> dict[str, list[FilmMeasurementRequest]]:
+        """The requests by the name of what they answer: the films' `values`; with `dense` also each `curve`."""
+        from containers.stack import dbr_of, resolve
+
+        wanted = {"values": self.axis} | ({"curve": self.curve_axis} if dense else {})
+        requests = {name: [self._request(film, values) for film in self.films] for name, values in wanted.items()}
+        stack = self.stack if self.stack is not None else dbr_of(self.model.environment, max(self.pairs))
+        resolve(stack, self.wavelengths_nm)  # a material that is not there, or has no data for a wavelength
+        return requests
+
+    def table_requests(self) -> list[FilmTableRequest]:
+        """A request for each DBR's table."""
+        from luxloop.film import FilmTableRequest, Spectrum
+
+        if self.stack is not None or self.against != "angle" or self.quantity not in ("R", "T"):
+            raise InputError("--tables", True, "with --pairs, R or T against angle", "the same goes for --export")
+        environment = self.model.environment
+        line = Spectrum(peak_nm=environment.peak_nm, fwhm_nm=environment.fwhm_nm)
+        return [
+            FilmTableRequest(environment=environment, dbr_pairs=p, effects=self.model.effects, spectrum=line)
+            for p in self.pairs
+        ]
+
+    def ask(
+        self, client: Client, measurements: dict[str, list[FilmMeasurementRequest]], show: bool
+    ) -> dict[str, Any]:
+        """The result document."""
+        films = self.films
+        for name, requests in measurements.items():
+            for number, answer in answers(client, requests, "films" if name == "values" else "curves", show):
                 films[number][name] = [float(value) for value in answer.arrays["value"].ravel()]
                 films[number].setdefault("worker", answer.worker)
         unit = "deg" if self.quantity in ("psi", "delta") else "1"
@@ -145,36 +190,28 @@ class _Question:
             "bandwidth_nm": self.bandwidth_nm,
             "model": {"name": self.model_name, "sha256": self.model.sha256},
             "films": films,
-            **({"curve_axis": fine} if dense else {}),
+            **({"curve_axis": self.curve_axis} if "curve" in measurements else {}),
         }
 
-    def fetch_tables(self, client: Client, document: dict[str, Any]) -> list[FilmTable]:
+    def fetch_tables(
+        self, client: Client, requests: list[FilmTableRequest], document: dict[str, Any], show: bool
+    ) -> list[FilmTable]:
         """Each DBR's table, fetched by its hash; notes what it is and how far interpolation is from the values."""
         from containers.thin_film.packing import unpack
         from containers.thin_film.table import FilmTable
-        from luxloop.film import FilmTableRequest, Spectrum
 
-        if self.stack is not None or self.against != "angle" or self.quantity not in ("R", "T"):
-            raise InputError("--tables", True, "with --pairs, R or T against angle", "the same goes for --export")
-        environment = self.model.environment
-        line = Spectrum(peak_nm=environment.peak_nm, fwhm_nm=environment.fwhm_nm)
-        requests = [
-            FilmTableRequest(environment=environment, dbr_pairs=p, effects=self.model.effects, spectrum=line)
-            for p in self.pairs
-        ]
         tables: dict[int, FilmTable] = {}
-        for number, answer in _answers(client, requests, "tables"):
-            packed = client.fetch(str(answer.result["table_sha256"]), int(answer.result["table_bytes"]))
-            table = FilmTable.from_parts(*unpack(packed))
-            tables[number] = table
-            values = document["films"][number]["values"]
-            document["films"][number]["table"] = {
+        for number, first in answers(client, requests, "tables", show):
+            answer, packed = fetched(client, requests[number], first)
+            tables[number] = table = FilmTable.from_parts(*unpack(packed))
+            film = document["films"][number]
+            film["table"] = {
                 "sha256": answer.result["table_sha256"],
                 "bytes": len(packed),
                 "nodes": int(table.u.size),
                 "wavelengths": int(table.wavelength_nm.size),
                 "known": answer.result["known"],
-                "largest_difference": self._difference(table, values),
+                "largest_difference": self._difference(table, film["values"]),
             }
         return [tables[number] for number in range(len(requests))]
 
@@ -187,7 +224,7 @@ class _Question:
         power = getattr(table.average(self.side), self.quantity)
         return float(np.abs(table.at(power, u) - values).max())
 
-    def _request(self, film: dict[str, Any], values: Sequence[float]) -> Any:
+    def _request(self, film: dict[str, Any], values: Sequence[float]) -> FilmMeasurementRequest:
         from luxloop.film import FilmMeasurementRequest
         from luxloop.words import parse
 
@@ -212,63 +249,12 @@ class _Question:
         )
 
 
-def _answers(client: Client, requests: list[Any], what: str) -> Iterator[tuple[int, Answer]]:
-    """(number, answer) of each request; raises the first failure. A bar on a terminal, for those that take long."""
-    from rich.console import Console
-    from rich.progress import track
-
-    console = Console(stderr=True)
-    answers = client.map(requests)
-    shown = track(
-        answers, what, total=len(requests), console=console, transient=True, disable=not console.is_terminal
-    )
-    for number, answer in shown:
-        if isinstance(answer, RemoteError):
-            raise answer
-        yield number, answer
-
-
-def _as_text(document: dict[str, Any]) -> str:
-    """The table a person reads: one row per angle or wavelength, one column per film."""
-    name = "angle_deg" if document["against"] == "angle" else "wavelength_nm"
-    titles = [f"{f['dbr_pairs']:g} pairs" if "dbr_pairs" in f else "value" for f in document["films"]]
-    width = max(9, *(len(title) + 2 for title in titles))
-    digits = 3 if document["unit"] == "deg" else 5
-    lines = [_caption(document), f"{name:>13}" + "".join(f"{title:>{width}}" for title in titles)]
-    for row, at in enumerate(document[name]):
-        cells = "".join(f"{film['values'][row]:>{width}.{digits}f}" for film in document["films"])
-        lines.append(f"{at:>13g}" + cells)
-    for film in document["films"]:
-        if "table" in film:
-            table = film["table"]
-            lines.append(
-                f"table of {film['dbr_pairs']:>4g} pairs: {table['sha256'][:16]}, {table['bytes'] / 1e3:.0f} kB, "
-                f"{table['wavelengths']} wavelengths x s, p x {table['nodes']} nodes, "
-                f"{'from the database' if table['known'] else 'computed'}, "
-                f"within {table['largest_difference']:.1e} of the values above"
-            )
-    if "export" in document:
-        lost = ", ".join(f"{name} {size:.2g}" for name, size in document["export"]["lost"].items()) or "nothing"
-        lines.append(f"exported: {document['export']['file']}; lost (power ratio at most): {lost}")
-    if "plot" in document:
-        lines.append(f"picture: {document['plot']}")
-    return "\n".join(lines)
-
-
-def _caption(document: dict[str, Any]) -> str:
-    kinds = {"s": "s-polarised light", "p": "p-polarised light", "u": "unpolarised light"}
-    light = "light" if document["unit"] == "deg" else kinds[document["polarisation"]]
-    at = document["wavelength_nm"][0] if document["against"] == "angle" else document["angle_deg"][0]
-    at_text = f"at {at:g} nm" if document["against"] == "angle" else f"at {at:g} deg"
-    line = f", averaged over a line of {document['bandwidth_nm']:g} nm FWHM" if document["bandwidth_nm"] else ""
-    film = document["films"][0].get("stack")
-    what = film or f"DBR of the model {document['model']['name']!r}"
-    unit = " in deg" if document["unit"] == "deg" else ""
-    return f"{document['quantity']}{unit} of {what}, {light} from the {document['side']}, {at_text}{line}"
-
-
-def _draw(document: dict[str, Any], path: Path) -> None:
-    (view,) = entry_points(group="luxloop.views", name="film") or (None,)
-    if view is None:
-        raise InputError("--plot", str(path), "an installation with pictures", "pip install 'luxloop[viewer]'")
-    view.load()(document, path)
+def _view(plot: Path) -> Callable[[dict[str, Any], Path], None]:
+    """What draws a film; asked for before anything is computed."""
+    mend = "pip install 'luxloop[viewer]'"
+    try:
+        (view,) = entry_points(group="luxloop.views", name="film")
+        draw: Callable[[dict[str, Any], Path], None] = view.load()
+    except (ImportError, ValueError) as error:  # ValueError: no view of that name
+        raise InputError("--plot", str(plot), "an installation with pictures", mend) from error
+    return draw

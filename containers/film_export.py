@@ -7,18 +7,12 @@ from pathlib import Path
 from containers.thin_film.exports import Exported, opticstudio, radiance_xml, speos
 from containers.thin_film.surface import averaging_loss, film_bsdf
 from containers.thin_film.table import FilmTable, Side
-from luxloop.errors import InputError
 
 
-def export_table(tables: list[FilmTable], side: Side, file: Path) -> dict[str, float]:
-    """Write one table in the format of the file's ending; what that format could not carry, with its size."""
-    if len(tables) != 1:
-        raise InputError("--export", str(file), "one number of pairs", "export one DBR at a time")
-    exported = FORMATS[file.suffix.lower()](tables[0], side)
-    try:
-        file.write_text(exported.text)
-    except OSError as error:
-        raise InputError("--export", str(file), "a file that can be written", str(error)) from error
+def export_table(table: FilmTable, side: Side, file: Path) -> dict[str, float]:
+    """Write a table in the format of the file's ending; what that format could not carry, with its size."""
+    exported = FORMATS[file.suffix.lower()](table, side)
+    file.write_text(exported.text, encoding="utf-8")
     return dict(exported.lost)
 
 

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from luxloop.settings import load_settings
+from luxloop.settings import load_settings, usable_cache
 
 
 def thin_film(
@@ -16,16 +16,17 @@ def thin_film(
 ) -> None:
     """Be a thin-film worker: film tables and film measurements, until SIGTERM."""
     settings = load_settings(router=router)
-    os.environ["LUXLOOP_CACHE"] = str(settings.cache_dir)  # where kernels are kept, read when they are declared
+    cache = usable_cache(settings)
+    os.environ["LUXLOOP_CACHE"] = str(cache)  # where kernels are kept, read when they are declared
     from containers.compiled import release_compiler_pages
     from containers.thin_film.worker import FilmComputation
     from luxloop.bus.zenoh_bus import ZenohBus
     from luxloop.worker import Worker
 
-    computation = FilmComputation.in_folder(settings.cache_dir)
+    computation = FilmComputation.in_folder(cache)
     release_compiler_pages()
     with ZenohBus(settings, patient=True) as bus:
         worker = Worker(computation, bus, settings)
         if not quiet:
-            typer.echo(f"{worker.name}: at {settings.router}, database in {settings.cache_dir}", err=True)
+            typer.echo(f"{worker.name}: at {settings.router}, database in {cache}", err=True)
         worker.run()

@@ -2,32 +2,41 @@
 
 from __future__ import annotations
 
+import math
+import os
 from pathlib import Path
 
 from luxloop.errors import InputError
 from luxloop.stack import Layer, Medium, Stack
 from luxloop.words import parse
 
+MOST_NUMBERS = 10_000
+
 
 def numbers(option: str, text: str) -> list[float]:
     """The numbers of `5.5`, `1,2,3` or `first:last:step` (last included). Raises InputError naming the option."""
     allowed = "a number, a list 1,2,3 or a range first:last:step"
     try:
-        parts = [
-            float(part) for part in text.replace(",", ":" if ":" in text else ",").split(":" if ":" in text else ",")
-        ]
+        parts = [float(part) for part in text.split(":" if ":" in text else ",")]
     except ValueError as error:
         raise InputError(option, text, allowed) from error
-    if any(part != part or abs(part) == float("inf") for part in parts):
+    if not all(map(math.isfinite, parts)):
         raise InputError(option, text, "finite numbers")
-    if ":" not in text:
-        return parts
+    if ":" in text:
+        return _range(option, text, parts, allowed)
+    if len(parts) > MOST_NUMBERS:
+        raise InputError(option, text, f"at most {MOST_NUMBERS:,} values")
+    return parts
+
+
+def _range(option: str, text: str, parts: list[float], allowed: str) -> list[float]:
     if len(parts) != 3 or parts[2] <= 0 or parts[1] < parts[0]:
         raise InputError(option, text, f"{allowed}, step above 0, last not below first")
-    count = int((parts[1] - parts[0]) / parts[2] + 1e-9) + 1
-    if count > 10_000:
-        raise InputError(option, text, "at most 10,000 values", "take a larger step")
-    return [parts[0] + i * parts[2] for i in range(count)]
+    first, last, step = parts
+    steps = (last - first) / step  # infinite where the range is enormous or the step is tiny
+    if steps >= MOST_NUMBERS:
+        raise InputError(option, text, f"at most {MOST_NUMBERS:,} values", "take a larger step")
+    return [min(first + i * step, last) for i in range(int(steps + 1e-9) + 1)]
 
 
 def parse_stack(text: str) -> Stack:
@@ -95,10 +104,22 @@ def _number(word: str, whole: str) -> float:
 
 
 def check_file(option: str, file: Path | None, endings: tuple[str, ...]) -> None:
-    """InputError unless `file` (where given) has one of the endings and lies in a folder that exists."""
+    """InputError unless `file` (where given) has one of the endings and can be written; asked before work begins."""
     if file is None:
         return
     if file.suffix.lower() not in endings:
         raise InputError(option, str(file), "a name that ends with " + " or ".join(endings))
-    if not file.parent.is_dir():
-        raise InputError(option, str(file), "a file in a folder that exists", f"make {file.parent} first")
+    try:
+        _try_to_write(file)
+    except (OSError, ValueError) as error:  # ValueError: a name that no file can have
+        why = getattr(error, "strerror", None) or str(error)
+        raise InputError(option, str(file), "a file that can be written, in a folder that exists", why) from error
+
+
+def _try_to_write(file: Path) -> None:
+    """Raises OSError where that cannot be done; leaves what is there as it is. Rights alone do not tell."""
+    if file.exists():
+        os.close(os.open(file, os.O_WRONLY | os.O_NONBLOCK))  # a folder, and a pipe that nobody reads, are refused
+        return
+    file.touch(exist_ok=False)
+    file.unlink()

@@ -6,7 +6,6 @@ import json
 import os
 import shutil
 import sys
-import tempfile
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from importlib.metadata import PackageNotFoundError, version
@@ -16,9 +15,9 @@ from typing import Annotated, Literal
 import typer
 
 from luxloop import __version__
-from luxloop.errors import LuxloopError, RemoteError
+from luxloop.errors import InputError, LuxloopError, RemoteError
 from luxloop.messages import Status
-from luxloop.settings import Settings, load_settings
+from luxloop.settings import Settings, load_settings, usable_cache
 
 Verdict = Literal["ok", "warn", "fail"]
 PACKAGES = ("eclipse-zenoh", "numpy", "pydantic", "numba", "matplotlib")
@@ -64,13 +63,10 @@ def _packages() -> Iterator[Finding]:
 
 
 def _disk(settings: Settings) -> Iterator[Finding]:
-    folder = settings.cache_dir
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder) as probe:
-            probe.write(b"x")
-    except OSError as error:
-        yield Finding("cache folder", "fail", str(error), "set LUXLOOP_CACHE to a folder you may write")
+        folder = usable_cache(settings)
+    except InputError as error:
+        yield Finding("cache folder", "fail", f"{error.value} is not {error.allowed}", error.mend)
         return
     free_gb = shutil.disk_usage(folder).free / 1e9
     few = free_gb < DISK_GB

@@ -9,11 +9,23 @@ import threading
 import time
 from collections.abc import Callable
 
-from luxloop.settings import Settings, as_environment
+from luxloop.endpoint import refuse_taken
+from luxloop.errors import LuxloopError
+from luxloop.process import orphaned
+from luxloop.settings import Settings, as_environment, usable_cache
 
 RESTART_S = 0.5  # a process that ended is started again after this, doubled each time it ends within a minute
 RESTART_MOST_S = 10.0
 STOP_S = 6.0  # a worker leaves within 5 s
+AT_ONCE_S = 2.0  # what fails so soon after its first start would fail again
+
+
+class MemberError(LuxloopError):
+    """A process of the set that failed as soon as it was first started; the set ends with its exit code."""
+
+    def __init__(self, role: str, code: int) -> None:
+        self.exit_code = code
+        super().__init__(f"the {role} ended with {code} as soon as it was started, for the reason above; all stopped")
 
 
 class Member:
@@ -22,19 +34,25 @@ class Member:
     def __init__(self, role: str, settings: Settings, quiet: bool) -> None:
         self.role, self._settings = role, settings
         self._argv = [sys.executable, "-m", "luxloop", "serve", role] + ["--quiet"] * quiet
-        self._wait_s, self._again_s, self._began_s = RESTART_S, 0.0, 0.0
+        self._wait_s, self._again_s, self._began_s, self._first = RESTART_S, 0.0, 0.0, True
         self.process = self._start()
 
     def _start(self) -> subprocess.Popen[bytes]:
         self._began_s = time.monotonic()
-        environment = as_environment(self._settings) | {"LUXLOOP_WITH_PARENT": "1"}
+        environment = as_environment(self._settings) | {"LUXLOOP_WITH_PARENT": str(os.getpid())}
         return subprocess.Popen(self._argv, env=environment, stdin=subprocess.DEVNULL)
 
     def look_after(self, tell: Callable[[str], None]) -> None:
-        """Start the process again where it has ended, not faster than doubling pauses allow."""
-        if self.process.poll() is None:
+        """Start the process again where it has ended, not faster than doubling pauses allow.
+
+        Raises MemberError where it failed by itself right after its first start: it lacks something.
+        """
+        code, now = self.process.poll(), time.monotonic()
+        if code is None:
             return
-        now = time.monotonic()
+        if self._first and code > 0 and now - self._began_s < AT_ONCE_S:
+            raise MemberError(self.role, code)
+        self._first = False
         if not self._again_s:
             self._wait_s = RESTART_S if now - self._began_s > 60 else min(2 * self._wait_s, RESTART_MOST_S)
             self._again_s = now + self._wait_s
@@ -45,18 +63,23 @@ class Member:
 
 
 def run_local(settings: Settings, workers: dict[str, int], stop: threading.Event, *, quiet: bool = False) -> None:
-    """Keep a set alive until `stop` is set, or whoever started it has gone; then stop all of it."""
+    """Keep a set alive until `stop` is set, or whoever started it has gone; then stop all of it.
+
+    Raises before anything is started where the cache folder cannot be used (InputError) or the endpoint is taken
+    (LuxloopError), and MemberError where a process fails at once.
+    """
 
     def tell(text: str) -> None:
         if not quiet:
             print(f"local: {text}", file=sys.stderr, flush=True)  # noqa: T201  a server's log goes to stderr
 
+    usable_cache(settings)
+    refuse_taken(settings.router)
     roles = ["router", "controller", *(role for role, count in workers.items() for _ in range(count))]
     members = [Member(role, settings, quiet) for role in roles]
-    parent = os.getppid() if os.environ.get("LUXLOOP_WITH_PARENT") == "1" else None
-    tell(f"{', '.join(roles)} at {settings.router}")
     try:
-        while not stop.wait(0.2) and parent in (None, os.getppid()):
+        tell(f"{', '.join(roles)} at {settings.router}")
+        while not stop.wait(0.2) and not orphaned():
             for member in members:
                 member.look_after(tell)
     finally:

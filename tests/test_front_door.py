@@ -4,19 +4,24 @@ from __future__ import annotations
 
 import json
 import os
+import pty
+import shlex
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from luxloop import __version__
+from luxloop.cli import main
 from luxloop.settings import Settings, as_environment
 from tests.conftest import free_endpoint, processes_at, processes_with, start, wait_for
 
+Refused = Callable[..., tuple[object, str, str]]
 GOLDEN = json.loads((Path(__file__).parent / "golden" / "thin_film.json").read_text())["tables"]
 
 
@@ -34,11 +39,46 @@ def warm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Settings]:
         assert processes_at(settings.router) == []
 
 
+@pytest.fixture
+def nobody(settings: Settings) -> Settings:
+    """Settings with a router on an address that is nobody's: whoever asks a worker fails, and starts none."""
+    return settings.model_copy(update={"router": "tcp/192.0.2.1:7447"})
+
+
 def luxloop(settings: Settings, *argv: str, **environment: str) -> subprocess.CompletedProcess[str]:
     """`luxloop ARGV` as a process of its own."""
     return subprocess.run(
         [sys.executable, "-m", "luxloop", *argv],
         env=as_environment(settings) | {"NO_COLOR": "1"} | environment,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+
+
+@pytest.fixture
+def refused(nobody: Settings, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Refused:
+    """Exit code, stdout and stderr of `luxloop ARGV` in this process, where one of its own is not the point."""
+
+    def run(*argv: str, **environment: str) -> tuple[object, str, str]:
+        for name, value in (as_environment(nobody) | {"NO_COLOR": "1"} | environment).items():
+            monkeypatch.setenv(name, value)
+        monkeypatch.setattr(sys, "argv", ["luxloop", *argv])
+        monkeypatch.setattr(sys, "excepthook", sys.excepthook)  # typer puts its own there
+        with pytest.raises(SystemExit) as ended:
+            main()
+        said = capsys.readouterr()
+        return ended.value.code, said.out, said.err
+
+    return run
+
+
+def in_bash(settings: Settings, line: str) -> subprocess.CompletedProcess[str]:
+    """`luxloop LINE` as a shell reads it."""
+    return subprocess.run(
+        ["bash", "-c", f"{shlex.quote(sys.executable)} -m luxloop {line}"],
+        env=as_environment(settings) | {"NO_COLOR": "1"},
         capture_output=True,
         text=True,
         timeout=60,
@@ -133,11 +173,18 @@ def test_a_model_is_made_and_undone(settings: Settings, tmp_path: Path) -> None:
     ("argv", "named"),
     [
         (["film"], "--pairs"),
+        (["film", "--pairs", "5.5", "--stack", "Si | air"], "--pairs"),
         (["film", "--pairs", "5.3"], "dbr_pairs"),
         (["film", "--pairs", "-1"], "dbr_pairs"),
         (["film", "--pairs", "nan"], "--pairs"),
         (["film", "--pairs", "5.5", "--angles", "90"], "aoi_deg"),
         (["film", "--pairs", "5.5", "--angles", "0:80:0"], "--angles"),
+        (["film", "--pairs", "5.5", "--angles", "0:80:1e-320"], "--angles"),
+        (["film", "--pairs", "5.5", "--angles", "-1e308:1e308:1"], "--angles"),
+        (["film", "--pairs", "5.5", "--wavelengths", "0:1e308:1e-9"], "--wavelengths"),
+        (["film", "--pairs", "0:1e308:1e-9"], "--pairs"),
+        (["film", "--pairs", "5.5", "--bandwidth", "nan"], "bandwidth_nm"),
+        (["film", "--pairs", "5.5", "--tables", "--quantity", "psi"], "--tables"),
         (["film", "--pairs", "5.5", "--bandwidth", "-1"], "bandwidth_nm"),
         (["film", "--pairs", "5.5", "--plot", "no/such/folder/x.png"], "--plot"),
         (["film", "--pairs", "5.5", "--plot", "x.jpg"], ".png"),
@@ -154,15 +201,88 @@ def test_a_model_is_made_and_undone(settings: Settings, tmp_path: Path) -> None:
         (["materials", "show", "GaN", "--wavelengths", "200"], "350"),
     ],
 )
-def test_bad_input_ends_with_2_naming_what_is_wrong(warm: Settings, argv: list[str], named: str) -> None:
-    """No traceback: one line with what was wrong; the same as one object on stdout with --json."""
-    done = luxloop(warm, *argv)
-    assert done.returncode == 2
-    assert named in done.stderr
-    assert "Traceback" not in done.stderr
-    with_json = luxloop(warm, *argv, "--json")
-    assert with_json.returncode == 2
-    assert json.loads(with_json.stdout)["error"]["code"] == "bad_input"
+def test_bad_input_ends_with_2_naming_what_is_wrong(refused: Refused, argv: list[str], named: str) -> None:
+    """One line with what was wrong, one object on stdout; found out before any worker is asked for."""
+    code, out, err = refused(*argv, "--json")
+    assert code == 2
+    (line,) = err.splitlines()
+    assert named in line
+    assert json.loads(out)["error"]["code"] == "bad_input"
+
+
+@pytest.mark.parametrize(
+    ("argv", "named"),
+    [
+        (["--nonsense"], "--nonsense"),
+        (["nonsense"], "nonsense"),
+        (["film", "--nonsense"], "--nonsense"),
+        (["film", "--quantity", "Q"], "--quantity"),
+        (["materials", "show"], "name"),
+        (["serve", "local", "--thin-film", "65"], "--thin-film"),
+    ],
+)
+def test_bad_usage_ends_with_2_and_is_one_object_with_json(refused: Refused, argv: list[str], named: str) -> None:
+    """Without --json the usage and a hint on stderr, with it one object that names the help to ask for."""
+    code, out, err = refused(*argv)
+    assert (code, out) == (2, "")
+    assert "Error" in err
+    code, out, err = refused(*argv, "--json")
+    assert code == 2
+    error = json.loads(out)["error"]
+    assert error["code"] == "bad_usage"
+    assert error["mend"].endswith("--help")
+    assert named in error["message"] or "--json" in error["message"]  # which is unknown there too
+
+
+def test_version(refused: Refused) -> None:
+    """Once "Missing command"."""
+    assert refused("--version") == (0, f"{__version__}\n", "")
+
+
+@pytest.mark.parametrize("option", ["--plot", "--export"])
+def test_a_file_that_cannot_be_written_is_said_before_anything_is_computed(
+    refused: Refused, tmp_path: Path, option: str
+) -> None:
+    """A folder, and a folder that is not there."""
+    ending = ".png" if option == "--plot" else ".xml"
+    (tmp_path / f"folder{ending}").mkdir()
+    for name, why in {f"folder{ending}": "Is a directory", f"no/x{ending}": "No such file or directory"}.items():
+        code, _, err = refused("film", "--pairs", "5.5", option, str(tmp_path / name))
+        assert code == 2
+        (line,) = err.splitlines()
+        assert option in line
+        assert why in line
+
+
+@pytest.mark.parametrize("cache", ["~no-such-user/x", "/dev/null", "/proc/x"])
+@pytest.mark.parametrize("argv", [["film", "--pairs", "5.5"], ["serve", "thin-film"], ["serve", "local"]])
+def test_an_unusable_cache_is_said_at_once(refused: Refused, cache: str, argv: list[str]) -> None:
+    """Exit 2 with one line, where a worker would wait for a router that never comes."""
+    code, _, err = refused(*argv, LUXLOOP_CACHE=cache)
+    assert code == 2
+    (line,) = err.splitlines()
+    assert repr(cache) in line
+
+
+@pytest.mark.parametrize(
+    ("line", "code", "said"),
+    [
+        ("materials list > /dev/full", 1, "No space left on device"),
+        ("--version > /dev/full", 1, "No space left on device"),
+        ("film --pairs 5.3 --json > /dev/full", 2, "dbr_pairs"),
+        ("film --pairs 5.3 2> /dev/full", 2, ""),
+        ("film --pairs 5.3 --json | true; exit ${PIPESTATUS[0]}", 2, "dbr_pairs"),
+        ("materials list | true; exit ${PIPESTATUS[0]}", 0, ""),
+        ("model show paper | true; exit ${PIPESTATUS[0]}", 0, ""),
+        ("materials list >&-", 0, ""),
+    ],
+)
+def test_output_that_nobody_takes(nobody: Settings, line: str, code: int, said: str) -> None:
+    """A full disk is one line and exit 1, a reader that has gone is no error, an error stays one."""
+    done = in_bash(nobody, line)
+    assert done.returncode == code
+    assert done.stderr.count("\n") == bool(said)
+    assert said in done.stderr
 
 
 def test_settings_come_from_command_line_environment_and_file(settings: Settings, tmp_path: Path) -> None:
@@ -194,14 +314,49 @@ def test_ctrl_c_ends_with_130_and_leaves_nothing(settings: Settings) -> None:
     wait_for(lambda: not processes_with(f"LUXLOOP_CACHE={settings.cache}"), "its processes to end", 15.0)
 
 
-def test_a_closed_pipe_is_no_error(warm: Settings) -> None:
-    """`luxloop film | head -1` ends quietly."""
+@pytest.mark.parametrize("delay_s", [0.0, 0.02, 0.05, 0.1, 0.2])
+def test_ctrl_c_right_at_the_start_ends_with_130_and_no_traceback(nobody: Settings, delay_s: float) -> None:
+    """Also while modules are being imported."""
+    code = "import luxloop.cli; print('ready', flush=True); luxloop.cli.main()"
+    with subprocess.Popen(
+        [sys.executable, "-c", code, "serve", "thin-film"],
+        env=as_environment(nobody),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    ) as process:
+        assert process.stdout is not None
+        process.stdout.readline()
+        time.sleep(delay_s)  # what is tested
+        process.send_signal(signal.SIGINT)
+        assert process.communicate(timeout=20)[1] == b""
+    assert process.returncode == 130
+
+
+@pytest.mark.parametrize("reader", ["head -1", "true"])
+def test_a_closed_pipe_is_no_error(warm: Settings, reader: str) -> None:
+    """`luxloop film | head -1` ends quietly, with 0 of ours."""
+    done = in_bash(warm, f"film --pairs 0:20:1 --angles 0:20:0.02 | {reader}; exit ${{PIPESTATUS[0]}}")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert ("R of DBR" in done.stdout) == (reader == "head -1")
+
+
+@pytest.mark.parametrize(("option", "talks"), [([], True), (["--quiet"], False), (["--json"], False)])
+def test_a_terminal_is_told_what_is_waited_for(warm: Settings, option: list[str], talks: bool) -> None:
+    """A line while the workers are found, a bar while films come; nothing with --quiet or --json."""
+    ours, theirs = pty.openpty()
     done = subprocess.run(
-        ["bash", "-c", f"{sys.executable} -m luxloop film --pairs 0:20:1 --angles 0:20:0.02 | head -1"],
-        env=as_environment(warm),
-        capture_output=True,
-        text=True,
+        [sys.executable, "-m", "luxloop", "film", "--pairs", "5.5", "--tables", *option],
+        env=as_environment(warm) | {"TERM": "xterm", "COLUMNS": "60"},
+        stdout=subprocess.PIPE,
+        stderr=theirs,
+        timeout=60,
         check=False,
     )
-    assert "Traceback" not in done.stderr
-    assert "R of DBR" in done.stdout
+    os.write(theirs, b"end")
+    said = os.read(ours, 1 << 20).decode()
+    os.close(ours)
+    os.close(theirs)
+    assert done.returncode == 0
+    assert ("finding the workers" in said and "films" in said) == talks
+    assert (said == "end") == (not talks)
+    assert b"\x1b" not in done.stdout

@@ -5,14 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from matplotlib import colormaps
+from matplotlib.figure import Figure
+
 QUANTITIES = {"R": "reflectance R", "T": "transmittance T", "psi": "psi (deg)", "delta": "delta (deg)"}
 
 
 def draw(document: dict[str, Any], path: Path) -> None:
     """Draw the result document of `luxloop film` into a PNG file."""
-    from matplotlib import colormaps
-    from matplotlib.figure import Figure
-
     films, against = document["films"], document["against"]
     figure = Figure(figsize=(7.5, 4.6), layout="constrained")
     axes = figure.add_subplot()
