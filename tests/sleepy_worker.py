@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+import sys
 import time
 from collections.abc import Mapping
 from typing import Any
@@ -25,7 +26,7 @@ class Sleepy:
 
     def catalogue(self) -> dict[str, Any]:
         """Nothing worth telling."""
-        return {"what": ["nothing", "nap", "nap deaf", "hold gil", "die", "crash", "refuse", "nan", "big"]}
+        return {}
 
     def blob(self, sha256: str) -> bytes | None:  # noqa: ARG002  the protocol has it
         """No store of its own."""
@@ -48,6 +49,13 @@ class Sleepy:
             os._exit(9)
         elif what == "crash":
             raise RuntimeError("told to crash")
+        elif what == "exit":
+            sys.exit(3)
+        elif what == "mojibake":
+            progress.report(0.5, "caf\udce9")
+            raise RuntimeError("caf\udce9")
+        elif what == "unsendable":
+            arrays["map"] = np.array([object()])
         elif what == "refuse":
             raise InputError("what", what, "anything else", "ask for something else")
         elif what == "nan":

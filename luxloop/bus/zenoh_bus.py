@@ -53,7 +53,7 @@ class ZenohBus:
             with cancelled.ends(token.cancel) if cancelled is not None else nullcontext():
                 reply = next(iter(replies), None)
         except zenoh.ZError as error:
-            raise RemoteError(Failure(code="cancelled", message=f"the session is closed: {error}")) from error
+            raise RemoteError(_closed(error)) from error
         if reply is not None and reply.ok is not None:
             return reply.ok.payload.to_bytes()
         if reply is not None and reply.err is not None:
@@ -62,7 +62,11 @@ class ZenohBus:
                 return text
         if cancelled is not None and cancelled.is_set():
             raise RemoteError(Failure(code="cancelled", message="the question was withdrawn", where=key))
-        raise RemoteError(self._why_nothing(key, time.monotonic() - begin, timeout_s, timed_out=reply is not None))
+        try:
+            why = self._why_nothing(key, time.monotonic() - begin, timeout_s, timed_out=reply is not None)
+        except zenoh.ZError as error:
+            raise RemoteError(_closed(error)) from error
+        raise RemoteError(why)
 
     def answer(self, key_expr: str, inbox: Inbox) -> None:
         def on_query(query: zenoh.Query) -> None:
@@ -218,6 +222,10 @@ def _no_router(settings: Settings) -> Failure:
         message=f"no router at {settings.router}",
         mend="start one (luxloop serve local) or set LUXLOOP_ROUTER to where it is",
     )
+
+
+def _closed(error: zenoh.ZError) -> Failure:
+    return Failure(code="cancelled", message=f"this side has closed its session ({error})")
 
 
 def _stranger(settings: Settings) -> Failure:

@@ -26,7 +26,7 @@ from luxloop.errors import RemoteError
 from luxloop.failure import Failure
 from luxloop.messages import Done, Heartbeat, Hello, Outcome, Pull, Receipt, Submit, Task
 from luxloop.settings import Settings
-from tests.conftest import processes_at, start, stop, wait_for
+from tests.conftest import processes_with, start, stop, wait_for
 
 SLEEPY = str(Path(__file__).parents[1] / "sleepy_worker.py")
 
@@ -60,13 +60,16 @@ class Set:
         """Wait until a task is in a worker's hands."""
         wait_for(lambda: self.client.status(5.0).running, "a lease")
 
-    def later(self, wanted: Task) -> tuple[threading.Thread, list[Answer | Failure]]:
+    def later(
+        self, wanted: Task, patience_s: float = 30.0, limit_s: float = 600.0
+    ) -> tuple[threading.Thread, list[Answer | Failure]]:
         """Ask in a thread; the list gets the answer or the failure."""
         got: list[Answer | Failure] = []
 
         def ask() -> None:
             try:
-                got.append(self.client.run(wanted))
+                with Client(self.settings, local=False, patience_s=patience_s) as client:
+                    got.append(client.run(wanted, limit_s=limit_s))
             except RemoteError as error:
                 got.append(error.failure)
 
@@ -132,6 +135,9 @@ def test_the_same_task_twice_is_computed_once(processes: Set) -> None:
         ("crash", "crashed", "told to crash"),
         ("nan", "crashed", "NaN or infinity in map"),
         ("die", "worker_lost", "attempt 3"),
+        ("exit", "crashed", "SystemExit"),
+        ("mojibake", "crashed", "caf?"),
+        ("unsendable", "crashed", "got '|O'"),
     ],
 )
 def test_what_goes_wrong_in_a_worker_comes_back_typed(processes: Set, what: str, code: str, says: str) -> None:
@@ -292,10 +298,10 @@ def test_a_worker_that_falls_silent_is_overtaken_and_fenced(settings: Settings, 
 
 
 def test_a_router_restart_loses_nothing(processes: Set) -> None:
-    """Kill and restart the router while a task runs: the worker delivers after it, the client gets its answer."""
+    """Kill and restart the router while a task runs: the worker goes on, delivers, nothing is begun anew."""
     processes.add_worker()
     processes.ready(1)
-    thread, got = processes.later(task("nap", s=2.0))
+    thread, got = processes.later(task("nap", s=4.0))
     processes.running()
     stop(processes.router)
     time.sleep(1.0)
@@ -303,15 +309,16 @@ def test_a_router_restart_loses_nothing(processes: Set) -> None:
     thread.join(40)
     (answer,) = got
     assert isinstance(answer, Answer)
+    assert answer.attempt == 1
     assert processes.client.run(task("nothing", number=4)).result["number"] == 4
 
 
 def test_a_controller_restart_loses_nothing(processes: Set) -> None:
-    """Kill the controller while a task runs: worker and client find the new one, the old epoch is fenced."""
+    """Kill the controller while a task runs: the only worker says hello at once, long before its task would end."""
     processes.add_worker()
     processes.ready(1)
     before = processes.client.status().epoch
-    thread, got = processes.later(task("nap", s=1.0))
+    thread, got = processes.later(task("nap", s=4.0), patience_s=3.0)
     processes.running()
     stop(processes.controller)
     processes.controller = start(processes.settings, "-m", "luxloop", "serve", "controller", "--quiet")
@@ -334,17 +341,65 @@ def test_a_second_controller_is_refused(processes: Set) -> None:
     assert "already serves" in second.stderr
 
 
+def test_a_controller_without_a_router_can_be_stopped(settings: Settings) -> None:
+    """It waits for the router, and ends with 0 when it is told to; it does not hang in the session's opening."""
+    process = start(settings, "-m", "luxloop", "serve", "controller", "--quiet")
+    try:
+        with pytest.raises(subprocess.TimeoutExpired):
+            process.wait(1.5)
+        process.terminate()
+        assert process.wait(5) == 0
+    finally:
+        stop(process)
+
+
+def test_leaving_a_map_withdraws_what_is_under_way(processes: Set) -> None:
+    """Break out of the loop: the tasks still running are cancelled, the workers free within seconds."""
+    for _ in range(2):
+        processes.add_worker()
+    processes.ready(2)
+    wanted = [task("nothing"), task("nap", s=60.0), task("nap", s=61.0)]
+    for number, answer in processes.client.map(wanted, lanes=3):
+        assert (number, isinstance(answer, Answer)) == (0, True)
+        break
+    wait_for(lambda: processes.client.status().running == 0, "the tasks to be cancelled", 5.0)
+    assert processes.client.run(task("nothing", number=6)).result["number"] == 6
+
+
+@pytest.mark.slow
+def test_a_computation_that_does_not_end_is_ended_with_its_process(processes: Set) -> None:
+    """Over its limit and deaf to the cancel: the worker's process ends by itself, and is not counted on."""
+    worker = processes.add_worker()
+    processes.ready(1)
+    thread, got = processes.later(task("nap deaf", s=60.0), limit_s=1.0, patience_s=1.0)
+    assert worker.wait(20) == 1
+    thread.join(20)
+    (failure,) = got
+    assert isinstance(failure, Failure)
+    assert failure.code == "no_worker"
+    assert "over its limit of 1 s" in failure.text()
+
+
 def test_a_withdrawn_task_is_cancelled_on_the_worker(processes: Set) -> None:
     """After the withdrawal the asker is told `cancelled`, and the worker is free within seconds, not after 60."""
     processes.add_worker()
     processes.ready(1)
-    thread, got = processes.later(task("nap", s=60.0))
+    asker, codes = Client(processes.settings, local=False), list[str]()
+
+    def ask() -> None:
+        with pytest.raises(RemoteError) as caught:
+            asker.run(task("nap", s=60.0))
+        codes.append(caught.value.failure.code)
+
+    thread = threading.Thread(target=ask)
+    thread.start()
     processes.running()
-    processes.client.withdraw(task("nap", s=60.0))
+    processes.client.withdraw(task("nap", s=60.0))  # another's: not ours to take back
+    assert processes.client.status().running == 1
+    asker.withdraw(task("nap", s=60.0))
     thread.join(10)
-    (failure,) = got
-    assert isinstance(failure, Failure)
-    assert failure.code == "cancelled"
+    asker.close()
+    assert codes == ["cancelled"]
     begin = time.monotonic()
     processes.client.run(task("nothing", number=5))
     assert time.monotonic() - begin < 5.0
@@ -423,23 +478,22 @@ def test_a_client_starts_what_it_needs_and_stops_it(settings: Settings) -> None:
         Client(client.settings, local=False)
 
 
-def test_a_killed_client_leaves_no_processes(settings: Settings) -> None:
-    """kill -9 of a client that started a set: router, controller and workers end by themselves."""
+@pytest.mark.parametrize("after_s", [0.4, 0.8, 1.2, None])
+def test_a_killed_client_leaves_no_processes(settings: Settings, after_s: float | None) -> None:
+    """kill -9 of a client that starts a set, at any moment of the start or after it: all of it ends by itself."""
     code = (
-        "import sys, time\nfrom luxloop.client import Client\nfrom luxloop.settings import Settings\n"
-        "client = Client(Settings())\nprint(client.settings.router, flush=True)\ntime.sleep(60)\n"
+        "import time\nfrom luxloop.client import Client\nfrom luxloop.settings import Settings\n"
+        "client = Client(Settings())\nprint('ready', flush=True)\ntime.sleep(60)\n"
     )
-    process = subprocess.Popen(
-        [sys.executable, "-c", code],
-        stdout=subprocess.PIPE,
-        text=True,
-        env=os.environ | {"LUXLOOP_ROUTER": settings.router, "LUXLOOP_CACHE": str(settings.cache)},
-    )
+    environment = os.environ | {"LUXLOOP_ROUTER": settings.router, "LUXLOOP_CACHE": str(settings.cache)}
+    process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, env=environment)
     assert process.stdout is not None
-    endpoint = process.stdout.readline().strip()
+    if after_s is None:
+        assert process.stdout.readline() == "ready\n"
+        assert len(processes_with(f"LUXLOOP_CACHE={settings.cache}")) >= 4
+    else:
+        time.sleep(after_s)
     process.kill()
     process.wait()
     process.stdout.close()
-
-    assert endpoint
-    wait_for(lambda: not processes_at(endpoint), "the set to end", 15.0)
+    wait_for(lambda: not processes_with(f"LUXLOOP_CACHE={settings.cache}"), "the set to end", 15.0)
