@@ -212,6 +212,9 @@ class _Question:
                 "wavelengths": int(table.wavelength_nm.size),
                 "known": answer.result["known"],
                 "largest_difference": self._difference(table, film["values"]),
+                "error_average_ratio": table.error_average_ratio,
+                "error_single_ratio": table.error_single_ratio,
+                "resolved": table.resolved,
             }
         return [tables[number] for number in range(len(requests))]
 
@@ -221,8 +224,9 @@ class _Question:
 
         index = table.n_inside if self.side == "inside" else table.n_outside
         u = float(index @ table.weight) * np.sin(np.radians(self.angles_deg))
-        power = getattr(table.average(self.side), self.quantity)
-        return float(np.abs(table.at(power, u) - values).max())
+        power = getattr(table.powers(self.side), self.quantity)
+        kept = power.mean(axis=1) if self.polarisation == "u" else power[:, "sp".index(self.polarisation)]
+        return float(np.abs(table.at(table.weight @ kept, u) - values).max())
 
     def _request(self, film: dict[str, Any], values: Sequence[float]) -> FilmMeasurementRequest:
         from luxloop.film import FilmMeasurementRequest

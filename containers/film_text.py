@@ -20,12 +20,21 @@ def as_text(document: dict[str, Any], columns: int | None) -> str:
                 f"{'from the database' if table['known'] else 'computed'}, "
                 f"within {table['largest_difference']:.1e} of the values above"
             )
+            lines.append(_error(table))
     if "export" in document:
         lost = ", ".join(f"{name} {size:.2g}" for name, size in document["export"]["lost"].items()) or "nothing"
         lines.append(f"exported: {document['export']['file']}; lost (power ratio at most): {lost}")
     if "plot" in document:
         lines.append(f"picture: {document['plot']}")
     return "\n".join(lines)
+
+
+def _error(table: dict[str, Any]) -> str:
+    """How far a table is wrong."""
+    average, single = (f"{table[f'error_{name}_ratio']:.1e}" for name in ("average", "single"))
+    if table["resolved"]:
+        return f"    interpolation errs by up to {average} (line average), {single} (one wavelength)"
+    return f"    WARNING: not resolved, it errs by {average} (line average) or more: do not trace with it"
 
 
 def _blocks(document: dict[str, Any], columns: int | None) -> Iterator[str]:

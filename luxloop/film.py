@@ -19,25 +19,54 @@ Angle = Annotated[float, Field(ge=0.0, lt=90.0)]
 Pairs = Annotated[float, Field(ge=0.0, le=100.0, multiple_of=0.5)]
 
 
+HALF_SPAN_FWHM = 2.5
+"""A line is cut at peak +- 2.5 FWHM; the golden averages move by less than 2e-9 for a wider and denser sampling."""
+MAX_FWHM_PER_PEAK = 0.3
+"""A wider line would begin below a quarter of its peak, where a Gaussian in wavelength describes no light source."""
+MIN_WAVELENGTHS = 11
+"""The fewest to begin with; a table takes more where its stack asks for it (21 or 41 for the paper's: 1e-6 of R)."""
+MAX_VALUES = 1_000_000
+"""Wavelengths x nodes of a table."""
+
+
 class Spectrum(Words):
     """A Gaussian emission line."""
 
     peak_nm: float = Field(445.0, gt=0.0, le=10_000.0, description="Wavelength of its maximum.")
     fwhm_nm: float = Field(18.0, gt=0.0, le=1_000.0, description="Full width at half maximum.")
 
+    @model_validator(mode="after")
+    def _begins_above_zero(self) -> Spectrum:
+        if self.fwhm_nm > MAX_FWHM_PER_PEAK * self.peak_nm:
+            begins = self.peak_nm - HALF_SPAN_FWHM * self.fwhm_nm
+            allowed = f"above 0 to {MAX_FWHM_PER_PEAK:g} x peak_nm, here {MAX_FWHM_PER_PEAK * self.peak_nm:g} nm"
+            mend = f"it is cut at peak - 2.5 FWHM, here {begins:g} nm: give a narrower line"
+            raise InputError("fwhm_nm", self.fwhm_nm, allowed, mend)
+        return self
+
 
 class Grid(Words):
-    """How finely a table is sampled."""
+    """How finely a table is sampled at the start, and how far it may err; it refines itself up to that."""
 
     wavelengths: int = Field(61, ge=1, le=1001, description="Uniform over peak +- 2.5 FWHM; 1: the peak alone.")
     shared_nodes: int = Field(181, ge=2, le=10_001, description="Uniform in the angle of the less dense side.")
     dense_nodes: int = Field(120, ge=2, le=10_001, description="Beyond it, on the denser side.")
+    tolerance_ratio: float = Field(
+        1e-3,
+        ge=1e-6,
+        le=1.0,
+        description="Error of T and R, line average of one polarisation, above which it is refined.",
+    )
 
     @model_validator(mode="after")
     def _fits_in_memory(self) -> Grid:
+        if 1 < self.wavelengths < MIN_WAVELENGTHS:
+            allowed = f"1 (the peak alone) or {MIN_WAVELENGTHS} to 1001"
+            raise InputError("wavelengths", self.wavelengths, allowed, "fewer do not average a line")
         values = self.wavelengths * (self.shared_nodes + self.dense_nodes)
-        if values > 1_000_000:
-            raise InputError("wavelengths", values, "wavelengths x nodes up to 1,000,000", "ask for a coarser grid")
+        if values > MAX_VALUES:
+            allowed = f"wavelengths x nodes up to {MAX_VALUES:,}"
+            raise InputError("wavelengths", values, allowed, "ask for a coarser grid")
         return self
 
 

@@ -2,8 +2,8 @@
 
     "LXF1" | header bytes u32 | header (canonical JSON, describes the arrays), blanks to a multiple of 8 | arrays, raw
 
-Arrays are little-endian, float64 before float32 and then by name, so that each begins at a multiple of its size.
-Nothing is unpickled; every length is checked before it is used.
+Arrays are little-endian, float64 before those of 32 bits and then by name, so that each begins at a multiple of its
+size. Nothing is unpickled; every length is checked before it is used.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from luxloop.errors import InputError
 from luxloop.words import canonical
 
 MAGIC = b"LXF1"
-DTYPES = ("<f8", "<f4")
+DTYPES = ("<f8", "<f4", "<i4")
 MAX_BYTES = 64 << 20
 MAX_AXES = 8
 
 
 def pack(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> bytes:
-    """The bytes of a header (JSON values) and arrays (float64 or float32); the same input gives the same bytes."""
+    """The bytes of a header (JSON values) and arrays (f8, f4 or i4); the same input gives the same bytes."""
     described, raws = [], []
     for name, array in sorted(arrays.items(), key=lambda item: (-item[1].dtype.itemsize, item[0])):
         dtype = array.dtype.newbyteorder("<").str

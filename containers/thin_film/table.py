@@ -1,15 +1,10 @@
 """The film table: what a stack does to light of an LED's spectrum, against u = k_parallel / k0, from both sides.
 
-    node   0 ........ shared ........ N0 ..... segment ..... N1 ..... segment ..... N2
-    u      0      low sin(theta)      low        cosine      n_AlN       cosine     high
+Where its nodes lie, and how a u is found among them, is said in `nodes`; how many nodes and wavelengths it has, and
+how far it is wrong, in `refinement`. Between nodes everything is interpolated linearly in `position`.
 
-The shared nodes, u from 0 to the lower of the two outer indices, are uniform in the angle of that side (air); they
-serve both sides. Beyond it light exists on the denser side only: nodes from `low` to `high` in segments that end at
-the indices of the layers, denser towards both ends, since everything there goes as the square root of the distance.
-`position` gives the place of any u among the nodes, and everything is interpolated linearly in it.
-
-With dispersion `low` and `high` are the largest over the wavelengths. At a u beyond the index of a side at some
-wavelength there is no light of that wavelength; R reads 1 there, the limit at grazing incidence.
+At a u beyond the index of a side at some wavelength there is no light of that wavelength; R reads 1 there, the limit
+at grazing incidence.
 
 Kept are the powers that cannot be derived: T (common to both sides), and S_R, S_T, A per side where they are not all
 zero. R is what remains, so R + T + S_R + S_T + A = 1 exactly. The bulk's own absorption is not the film's: a half
@@ -20,15 +15,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from containers.stack import StackRows, resolve
-from containers.thin_film import lossless
-from containers.thin_film.transfer_matrix import solve
+from containers.thin_film.nodes import Axis
+from containers.thin_film.refinement import LOSS_NAMES, LOSSES, Samples, refined
 from luxloop.errors import InputError
 from luxloop.film import Grid, Spectrum
 from luxloop.stack import Stack
@@ -37,12 +30,8 @@ from luxloop.words import parse
 Real = NDArray[np.float64]
 Side = Literal["inside", "outside"]
 SIDES: tuple[Side, Side] = ("inside", "outside")
-LOSSES = ("S_R", "S_T", "A")
-VERSION = 1
-FWHM_TO_SIGMA = 1.0 / (2.0 * np.sqrt(2.0 * np.log(2.0)))
-HALF_SPAN_FWHM = 2.5
-"""The spectrum is cut at peak +- 2.5 FWHM; the golden averages move by less than 2e-9 for a wider and denser grid."""
-MAX_HALF_SPACE_K = 0.01
+VERSION = 2
+ARRAYS = ("u", "first", "wavelength_nm", "weight", "n_inside", "n_outside", "T")
 
 
 class Powers(NamedTuple):
@@ -62,8 +51,8 @@ class FilmTable:
     stack: Stack
     spectrum: Spectrum
     grid: Grid
-    breaks: tuple[float, ...]
-    """u at the ends of the segments: low, (layers), high."""
+    axis: Axis
+    """Where the nodes lie."""
     u: Real
     """(node,)"""
     wavelength_nm: Real
@@ -80,11 +69,26 @@ class FilmTable:
     """`S_R_inside` and so on, (wavelength, polarisation, node of that side); what is zero everywhere is left out."""
     excess: float
     """Largest power that the roughness model created (`StackResponse.excess`)."""
+    error_average_ratio: float
+    """How far T and R, line average of one polarisation, are wrong (`refinement`); above `grid.tolerance_ratio` the
+    table was full before it was resolved, and the value may be far too small."""
+    error_single_ratio: float
+    """The same between the nodes for one wavelength; above 0.05 dips are missed, and it is a lower bound."""
+
+    @property
+    def breaks(self) -> tuple[float, ...]:
+        """u at the ends of the segments: low, (layers), high."""
+        return self.axis.breaks
+
+    @property
+    def resolved(self) -> bool:
+        """Whether the error that was found is within the tolerance that was asked for."""
+        return self.error_average_ratio <= self.grid.tolerance_ratio
 
     def nodes(self, side: Side) -> int:
         """How many nodes light from a side has: all from the denser one, the shared ones from the other."""
         denser = self.n_inside.max() >= self.n_outside.max()
-        return self.u.size if denser == (side == "inside") else self.grid.shared_nodes
+        return self.u.size if denser == (side == "inside") else self.axis.shared_nodes
 
     def powers(self, side: Side) -> Powers:
         """Powers of light from one side, each (wavelength, polarisation, node of that side)."""
@@ -97,7 +101,10 @@ class FilmTable:
     def average(self, side: Side) -> Powers:
         """Powers of unpolarised light of the whole spectrum, each (node of that side,).
 
-        Exact for one encounter; after several, s, p and the wavelengths must be averaged as late as possible.
+        What one encounter sends on of unpolarised light, at the nodes and within `error_average_ratio` between them
+        (spectrum fixed, indices of the half spaces that do not change over the line). It is not enough for several
+        encounters: R of s, p and each wavelength must be multiplied before they are averaged, for the light that
+        comes back is no longer that of the line.
         """
         T = np.zeros(self.nodes(side))
         T[: self.T.shape[-1]] = self._mean(self.T)
@@ -111,12 +118,7 @@ class FilmTable:
 
     def position(self, u: ArrayLike) -> Real:
         """Fractional node number at u (any shape): the variable in which the table is linear; the ends continue."""
-        where = np.asarray(u, float)
-        low, shared = self.breaks[0], self.grid.shared_nodes - 1
-        at = shared * np.arcsin(np.clip(where / low, 0.0, 1.0)) / (np.pi / 2)
-        for a, b in pairwise(self.breaks):
-            at += self._per_segment * np.arccos(1.0 - 2.0 * np.clip((where - a) / (b - a), 0.0, 1.0)) / np.pi
-        return np.asarray(at)
+        return self.axis.position(u)
 
     def at(self, values: ArrayLike, u: ArrayLike) -> Real:
         """`values` (..., node of a side) of this table, interpolated at u (any shape): (..., *u.shape)."""
@@ -125,10 +127,6 @@ class FilmTable:
         left = np.minimum(position.astype(int), array.shape[-1] - 2)
         right = position - left
         return np.asarray(array[..., left] * (1.0 - right) + array[..., left + 1] * right)
-
-    @property
-    def _per_segment(self) -> int:
-        return (self.u.size - self.grid.shared_nodes) // max(1, len(self.breaks) - 1)
 
     def to_parts(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
         """A JSON header and named arrays: all there is to store or send."""
@@ -139,27 +137,34 @@ class FilmTable:
             "grid": self.grid.model_dump(mode="json"),
             "breaks": list(self.breaks),
             "excess": self.excess,
+            "error_average_ratio": self.error_average_ratio,
+            "error_single_ratio": self.error_single_ratio,
         }
-        names = ("u", "wavelength_nm", "weight", "n_inside", "n_outside", "T")
-        return header, {name: getattr(self, name) for name in names} | dict(self.losses)
+        own = {name: getattr(self, name) for name in ARRAYS if name != "first"} | {"first": self.axis.first}
+        return header, own | dict(self.losses)
 
     @classmethod
     def from_parts(cls, header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> FilmTable:
         """The table of `to_parts`; InputError where the parts are not those of a table of this version."""
         if header.get("version") != VERSION:
             raise InputError("version", header.get("version"), f"{VERSION}", "compute the table again")
-        names = ("u", "wavelength_nm", "weight", "n_inside", "n_outside", "T")
-        losses = {f"{name}_{side}" for name in LOSSES for side in SIDES}
-        if not set(names) <= set(arrays) <= set(names) | losses:
-            raise InputError("arrays", sorted(arrays), f"{', '.join(names)} and losses", "compute the table again")
+        if not set(ARRAYS) <= set(arrays) <= {*ARRAYS, *LOSS_NAMES}:
+            raise InputError("arrays", sorted(arrays), f"{', '.join(ARRAYS)} and losses", "compute the table again")
+        grid, breaks, first = parse(Grid, header["grid"]), tuple(header["breaks"]), arrays["first"]
+        segment_cells = (first.size - grid.shared_nodes) // max(1, len(breaks) - 1)
+        cells = grid.shared_nodes - 1 + segment_cells * (len(breaks) - 1)
+        if first.size != cells + 1 or not (np.diff(first) > 0).all() or first[-1] + 1 != arrays["u"].size:
+            raise InputError("first", f"{first.size} numbers", "the nodes of a table", "compute the table again")
         return cls(
             stack=parse(Stack, header["stack"]),
             spectrum=parse(Spectrum, header["spectrum"]),
-            grid=parse(Grid, header["grid"]),
-            breaks=tuple(header["breaks"]),
-            **{name: arrays[name] for name in names},
-            losses={name: arrays[name] for name in sorted(losses & set(arrays))},
+            grid=grid,
+            axis=Axis(breaks, grid.shared_nodes - 1, segment_cells, first),
+            **{name: arrays[name] for name in ARRAYS if name != "first"},
+            losses={name: arrays[name] for name in LOSS_NAMES if name in arrays},
             excess=header["excess"],
+            error_average_ratio=header["error_average_ratio"],
+            error_single_ratio=header["error_single_ratio"],
         )
 
 
@@ -174,85 +179,33 @@ def film_table(stack: Stack, spectrum: Spectrum | None = None, grid: Grid | None
     material, or roughness beyond what the model can describe.
     """
     spectrum, grid = spectrum or Spectrum(), grid or Grid()
-    wavelength, weight = sampled(spectrum, grid.wavelengths)
-    rows = _bulk_without_k(resolve(stack, wavelength))
-    breaks, u = _nodes(rows, grid, int(np.argmax(weight)))
-    T, losses, excess = _lossless(rows, u[: grid.shared_nodes]) if lossless.applies(rows) else _general(rows, u, grid)
+    samples, errors = refined(stack, spectrum, grid)
+    rows, axis = samples.rows, samples.axis
     return FilmTable(
         stack=stack,
         spectrum=spectrum,
         grid=grid,
-        breaks=breaks,
-        u=u,
-        wavelength_nm=wavelength,
-        weight=weight,
+        axis=axis,
+        u=axis.u,
+        wavelength_nm=rows.wavelength_nm,
+        weight=samples.weight,
         n_inside=rows.index[:, 0].real,
         n_outside=rows.index[:, -1].real,
-        T=T,
-        losses=losses,
-        excess=excess,
+        T=np.ascontiguousarray(samples.T[..., : axis.shared_nodes]),
+        losses=_losses(samples),
+        excess=samples.excess,
+        error_average_ratio=errors.average_ratio,
+        error_single_ratio=errors.single_ratio,
     )
 
 
-def sampled(spectrum: Spectrum, wavelengths: int) -> tuple[Real, Real]:
-    """Wavelengths (nm) uniform over peak +- 2.5 FWHM, and Gaussian weights of sum 1."""
-    if wavelengths == 1:
-        return np.array([spectrum.peak_nm]), np.ones(1)
-    half = HALF_SPAN_FWHM * spectrum.fwhm_nm
-    wavelength = np.linspace(spectrum.peak_nm - half, spectrum.peak_nm + half, wavelengths)
-    weight = np.exp(-0.5 * ((wavelength - spectrum.peak_nm) / (spectrum.fwhm_nm * FWHM_TO_SIGMA)) ** 2)
-    return wavelength, weight / weight.sum()
-
-
-def _bulk_without_k(rows: StackRows) -> StackRows:
-    for side, column in (("inside", 0), ("outside", -1)):
-        k = float(rows.index[:, column].imag.max())
-        if k > MAX_HALF_SPACE_K:
-            raise InputError(side, f"k = {k:g}", f"k up to {MAX_HALF_SPACE_K:g} in a table", "make it a thick layer")
-    if not rows.coherent.all():
-        raise InputError("coherent", False, "coherent layers in a table", "use the incoherent film measurement")
-    index = rows.index.copy()
-    index[:, [0, -1]] = index[:, [0, -1]].real
-    return StackRows(rows.wavelength_nm, index, rows.thickness_nm, rows.roughness_nm, rows.coherent)
-
-
-def _nodes(rows: StackRows, grid: Grid, peak: int) -> tuple[tuple[float, ...], Real]:
-    """Ends of the segments, and all nodes."""
-    outer = rows.index[:, [0, -1]].real
-    low, high = float(outer.min(axis=1).max()), float(outer.max())
-    shared = low * np.sin(np.linspace(0.0, np.pi / 2, grid.shared_nodes))
-    if high - low < 1e-6:
-        return (low,), shared
-    between = {round(float(n), 3) for n in rows.index[peak, 1:-1].real if low + 1e-2 < n < high - 1e-2}
-    breaks = (low, *sorted(between)[: grid.dense_nodes // 4], high)
-    per_segment = grid.dense_nodes // (len(breaks) - 1)
-    rise = (1.0 - np.cos(np.pi * np.arange(1, per_segment + 1) / per_segment)) / 2.0
-    segments = [a + (b - a) * rise for a, b in pairwise(breaks)]
-    return breaks, np.concatenate([shared, *segments])
-
-
-Computed = tuple[Real, dict[str, NDArray[np.float32]], float]
-
-
-def _lossless(rows: StackRows, shared: Real) -> Computed:
-    return 1.0 - lossless.stack_reflectance(rows, shared), {}, 0.0
-
-
-def _general(rows: StackRows, u: Real, grid: Grid) -> Computed:
-    response = solve(rows.index, rows.thickness_nm, rows.roughness_nm, rows.wavelength_nm, u)
-    T = np.minimum(response.T_inside, response.T_outside)[..., : grid.shared_nodes]
-    denser = "inside" if rows.index[:, 0].real.max() >= rows.index[:, -1].real.max() else "outside"
-    losses = {}
-    for side in SIDES:
-        nodes = u.size if side == denser else grid.shared_nodes
-        for name in LOSSES:
-            lost = getattr(response, f"{name}_{side}")[..., :nodes]
-            if lost.any():
-                losses[f"{name}_{side}"] = _rounded_down(lost)
-    return T, losses, response.excess
-
-
-def _rounded_down(values: Real) -> NDArray[np.float32]:
-    """The next float32 that is not above, so that the remainder R cannot become negative."""
-    single = values.astype(np.float32)
-    return np.where(single > values, np.nextafter(single, np.float32(0.0)), single)
+def _losses(samples: Samples) -> dict[str, NDArray[np.float32]]:
+    """What is lost anywhere, by name: at all nodes from the denser side, at the shared ones from the other."""
+    inside, outside = (samples.rows.index[:, column].real.max() for column in (0, -1))
+    denser = "inside" if inside >= outside else "outside"
+    kept = {}
+    for name, lost in zip(LOSS_NAMES, samples.lost, strict=False):  # a lossless stack has none
+        if lost.any():
+            nodes = slice(None) if name.endswith(denser) else slice(samples.axis.shared_nodes)
+            kept[name] = np.ascontiguousarray(lost[..., nodes])
+    return kept

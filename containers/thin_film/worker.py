@@ -85,7 +85,7 @@ class FilmComputation:
             sha256, packed = held
             table = FilmTable.from_parts(*unpack(packed))
         result = {"stack": str(stack), "table_sha256": sha256, "table_bytes": len(packed), "known": held is not None}
-        return result, averages(table)
+        return result | errors_of(table), averages(table)
 
 
 def table_key(request: FilmTableRequest, stack: Stack) -> str:
@@ -98,6 +98,15 @@ def table_key(request: FilmTableRequest, stack: Stack) -> str:
             "version": VERSION,
         }
     )
+
+
+def errors_of(table: FilmTable) -> dict[str, float]:
+    """How far a table is wrong, and how far it may be; above that it is not resolved."""
+    return {
+        "error_average_ratio": table.error_average_ratio,
+        "error_single_ratio": table.error_single_ratio,
+        "tolerance_ratio": table.grid.tolerance_ratio,
+    }
 
 
 def averages(table: FilmTable) -> dict[str, Array]:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable, Iterator
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from containers import film_command
 from containers.asking import answers, fetched
 from containers.film_text import as_text
 from containers.thin_film.database import open_database
@@ -20,8 +23,9 @@ from luxloop.errors import RemoteError
 from luxloop.failure import Code, Failure
 from luxloop.film import FilmTableRequest, Grid
 from luxloop.model import Environment
+from luxloop.model_file import find_model
 
-REQUEST = FilmTableRequest(environment=Environment(), dbr_pairs=2.5, grid=Grid(wavelengths=3))
+REQUEST = FilmTableRequest(environment=Environment(), dbr_pairs=2.5, grid=Grid(wavelengths=1))
 
 
 class Forgetful:
@@ -71,7 +75,7 @@ def test_a_table_that_nobody_holds_any_more_is_computed_again(computation: FilmC
     answer, packed = ask(client)
     assert client.fresh == 1
     assert len(packed) == answer.result["table_bytes"]
-    assert FilmTable.from_parts(*unpack(packed)).wavelength_nm.size == 3
+    assert FilmTable.from_parts(*unpack(packed)).wavelength_nm.size == 1
 
 
 @pytest.mark.parametrize(("code", "fresh"), [("not_found", 1), ("no_router", 0)])
@@ -118,3 +122,72 @@ def test_a_narrow_terminal_gets_the_films_in_blocks(columns: int | None) -> None
     assert found["2.5", "2.5"] == "5.10000"
     assert found["5", "80"] == "10.20000"
     assert (lines.count("") > 0) == (columns is not None and columns < 13 + 11 * 11)
+
+
+@pytest.fixture
+def asked(computation: FilmComputation, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: Any) -> Any:
+    """`luxloop film --json` with a worker in this process: its document, for a model of a 460 nm line of 12 nm."""
+    paper = find_model("paper")
+    line = paper.environment.model_copy(update={"peak_nm": 460.0, "fwhm_nm": 12.0})
+    model = paper.model_copy(update={"environment": line})
+    monkeypatch.setenv("LUXLOOP_CACHE", str(tmp_path))
+    monkeypatch.setattr(film_command, "find_model", lambda name: model if name == "460" else find_model(name))
+    monkeypatch.setattr(film_command, "connected", lambda *_: nullcontext(Forgetful(computation)))
+
+    def run(**options: Any) -> dict[str, Any]:
+        film_command.film(**options, as_json=True)
+        return dict(json.loads(capsys.readouterr().out))
+
+    return run
+
+
+def test_the_command_asks_for_the_polarisation(asked: Any) -> None:
+    """445 nm, 5.5 pairs, 20 deg in GaN: R_s 0.755, R_p 0.290, and their mean for unpolarised light."""
+    shown = {}
+    for kind in ("s", "p", "u"):
+        document = asked(pairs="5.5", angles="20", bandwidth=0.0, polarisation=kind)
+        assert document["polarisation"] == kind
+        shown[kind] = document["films"][0]["values"][0]
+    assert shown["s"] == pytest.approx(0.755, abs=5e-4)
+    assert shown["p"] == pytest.approx(0.290, abs=5e-4)
+    assert shown["u"] == pytest.approx((shown["s"] + shown["p"]) / 2.0)
+
+
+@pytest.mark.parametrize("polarisation", ["s", "p", "u"])
+def test_a_table_is_held_against_the_values_of_its_polarisation(asked: Any, polarisation: str) -> None:
+    """What the table reads of s, p or both is what was measured, within the error that it states."""
+    table = asked(pairs="5.5", angles="0:23:1", polarisation=polarisation, tables=True)["films"][0]["table"]
+    assert table["largest_difference"] < table["error_average_ratio"] <= 1e-3
+    assert table["error_average_ratio"] < table["error_single_ratio"]
+    assert table["resolved"]
+
+
+def test_the_table_is_that_of_the_models_line(asked: Any, computation: FilmComputation) -> None:
+    """A model with a line of 460 nm, 12 nm wide, gets a table of that line, and the values agree with it."""
+    table = asked(pairs="5.5", model="460", angles="0:23:1", tables=True)["films"][0]["table"]
+    packed = computation.blob(table["sha256"])
+    assert packed is not None
+    held = FilmTable.from_parts(*unpack(packed))
+    assert held.weight @ held.wavelength_nm == pytest.approx(460.0)
+    assert (held.spectrum.peak_nm, held.spectrum.fwhm_nm) == (460.0, 12.0)
+    assert table["largest_difference"] < 1e-3
+
+
+@pytest.mark.parametrize(("resolved", "says"), [(True, "errs by up to 8.4e-04"), (False, "WARNING: not resolved")])
+def test_a_person_reads_how_far_a_table_is_wrong(resolved: bool, says: str) -> None:
+    """One line for a table that is resolved, a warning for one that is not."""
+    shown = document(2)
+    shown["films"][1]["table"] = {
+        "sha256": "0" * 64,
+        "bytes": 184_000,
+        "nodes": 301,
+        "wavelengths": 61,
+        "known": False,
+        "largest_difference": 1e-4,
+        "error_average_ratio": 8.4e-4 if resolved else 0.2,
+        "error_single_ratio": 6.5e-3,
+        "resolved": resolved,
+    }
+    (line,) = (line for line in as_text(shown, None).splitlines() if says in line)
+    assert len(line) < 100
+    assert ("WARNING" in line) == (not resolved)

@@ -20,10 +20,10 @@ from luxloop.client import Client
 from luxloop.computation import Progress
 from luxloop.effect import AppliedEffect
 from luxloop.errors import InputError, RemoteError
-from luxloop.film import FilmMeasurementRequest, FilmTableRequest
+from luxloop.film import FilmMeasurementRequest, FilmTableRequest, Grid, Spectrum
 from luxloop.model import Environment
 from luxloop.settings import Settings
-from luxloop.stack import Medium, Stack
+from luxloop.stack import Layer, Medium, Stack
 from tests.conftest import start, stop, wait_for
 
 GOLDEN = json.loads((Path(__file__).parents[1] / "golden" / "thin_film.json").read_text())["tables"]
@@ -82,6 +82,58 @@ def test_a_table_is_computed_once_and_found_by_its_hash(computation: FilmComputa
     np.testing.assert_array_equal(arrays["R_inside"], again["R_inside"])
 
 
+@pytest.mark.parametrize("thickness_nm", [500.0, 2e6], ids=["resolved", "not resolved"])
+def test_the_answer_says_how_far_the_table_is_wrong(computation: FilmComputation, thickness_nm: float) -> None:
+    """The table's own errors come with the answer, computed or held; above the tolerance where it is not resolved."""
+    layer = Layer(medium=Medium(n=2.1793), thickness_nm=thickness_nm)
+    request = FilmTableRequest(stack=Stack(inside=Medium(n=2.4869), layers=(layer,), outside=Medium(n=1.0)))
+    (first, _), (second, _) = ask(computation, request), ask(computation, request)
+    packed = computation.blob(first["table_sha256"])
+    assert packed is not None
+    table = FilmTable.from_parts(*unpack(packed))
+    names = ("error_average_ratio", "error_single_ratio", "tolerance_ratio")
+    assert [first[name] for name in names] == [second[name] for name in names]
+    assert [first[name] for name in names] == [table.error_average_ratio, table.error_single_ratio, 1e-3]
+    assert (first["error_average_ratio"] <= first["tolerance_ratio"]) == table.resolved == (thickness_nm < 1e6)
+
+
+def test_a_table_is_of_the_line_and_grid_that_were_asked_for(computation: FilmComputation) -> None:
+    """Another line, another grid or another tolerance is another table; each is what its request says."""
+    base = table_request(5.5)
+    spectrum, grid = Spectrum(peak_nm=460.0, fwhm_nm=12.0), Grid(wavelengths=31, tolerance_ratio=1e-4)
+    hashes = set()
+    for change in ({}, {"spectrum": spectrum}, {"grid": grid}):
+        result, _ = ask(computation, base.model_copy(update=change))
+        packed = computation.blob(result["table_sha256"])
+        assert packed is not None
+        table = FilmTable.from_parts(*unpack(packed))
+        wanted = change.get("spectrum", Spectrum())
+        assert table.weight @ table.wavelength_nm == pytest.approx(wanted.peak_nm)
+        assert np.ptp(table.wavelength_nm) == pytest.approx(5.0 * wanted.fwhm_nm)
+        assert table.grid == change.get("grid", Grid())
+        hashes.add(result["table_sha256"])
+    assert len(hashes) == 3
+
+
+def test_a_measurement_is_of_its_polarisation(computation: FilmComputation) -> None:
+    """445 nm, 5.5 pairs, 20 deg in GaN: R_s 0.755, R_p 0.290, and their mean for unpolarised light."""
+    shown = {}
+    for kind in ("s", "p", "u"):
+        request = FilmMeasurementRequest(
+            environment=Environment(),
+            dbr_pairs=5.5,
+            quantity="R",
+            wavelength_nm=(445.0,),
+            aoi_deg=(20.0,),
+            polarisation=kind,
+            from_side="inside",
+        )
+        shown[kind] = ask(computation, request)[1]["value"][0, 0]
+    assert shown["s"] == pytest.approx(0.755, abs=5e-4)
+    assert shown["p"] == pytest.approx(0.290, abs=5e-4)
+    assert shown["u"] == pytest.approx((shown["s"] + shown["p"]) / 2.0)
+
+
 def test_what_does_not_touch_the_film_shares_its_table(computation: FilmComputation) -> None:
     """Another substrate is the same film; another layer thickness is another."""
     base, _ = ask(computation, table_request(5.5))
@@ -123,6 +175,10 @@ def test_an_effect_not_known_here_is_said(computation: FilmComputation) -> None:
         ({"environment": {"gan_layer_nm": -45.0}}, "gan_layer_nm"),
         ({"environment": {"gan_layer_nm": float("nan")}}, "gan_layer_nm"),
         ({"grid": {"wavelengths": 1001, "shared_nodes": 10001}}, "wavelengths"),
+        ({"grid": {"wavelengths": 3}}, "wavelengths"),
+        ({"grid": {"tolerance_ratio": 0.0}}, "tolerance_ratio"),
+        ({"spectrum": {"peak_nm": 445.0, "fwhm_nm": 178.0}}, "fwhm_nm"),
+        ({"spectrum": {"peak_nm": 10.0, "fwhm_nm": 18.0}}, "fwhm_nm"),
         ({"colour": "blue"}, "colour"),
         ({"what": "magic"}, "film request"),
         ({"stack": {"inside": {"n": 1.0}, "outside": {"n": 1.0}}}, "stack"),

@@ -37,6 +37,7 @@ PURE = {
     "errors": "values by name; the names carry the units",
     # ratios
     "progress_ratio": "share of a task that is done",
+    "tolerance_ratio": "share of the incident power",
     "ratio": "share of a task that is done",
     # of a formula
     "exponent": "power of a scatter spectrum's fall",
