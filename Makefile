@@ -27,7 +27,7 @@ lint: .venv/.dev
 	$(BIN)/lint-imports
 
 bench: .venv/.dev
-	@set -e; for file in benchmarks/*.py; do echo; echo "== $$file"; $(BIN)/python $$file; done
+	@set -e; for file in $(filter-out %__init__.py %processes.py,$(wildcard benchmarks/*.py)); do echo; echo "== $$file"; $(BIN)/python $$file; done
 
 .venv/pyvenv.cfg:
 	@test -n "$(PYTHON)" || { echo "make: no python3.11 found; set PYTHON=/path/to/python3.11"; exit 1; }

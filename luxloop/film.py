@@ -48,7 +48,7 @@ class Spectrum(Words):
 class Grid(Words):
     """How finely a table is sampled at the start, and how far it may err; it refines itself up to that."""
 
-    wavelengths: int = Field(61, ge=1, le=1001, description="Uniform over peak +- 2.5 FWHM; 1: the peak alone.")
+    wavelengths: int = Field(31, ge=1, le=1001, description="Uniform over peak +- 2.5 FWHM; 1: the peak alone.")
     shared_nodes: int = Field(181, ge=2, le=10_001, description="Uniform in the angle of the less dense side.")
     dense_nodes: int = Field(120, ge=2, le=10_001, description="Beyond it, on the denser side.")
     tolerance_ratio: float = Field(

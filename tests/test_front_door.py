@@ -110,7 +110,7 @@ def test_film_draws_and_compares_its_tables(warm: Settings, tmp_path: Path) -> N
     assert picture.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
     assert len(found["films"]) == 11
     assert max(film["table"]["largest_difference"] for film in found["films"]) < 5e-4
-    assert {film["table"]["wavelengths"] for film in found["films"]} == {61}
+    assert {film["table"]["wavelengths"] for film in found["films"]} == {31}
 
 
 def test_film_of_any_stack_against_wavelength(warm: Settings) -> None:

@@ -181,7 +181,7 @@ def test_a_person_reads_how_far_a_table_is_wrong(resolved: bool, says: str) -> N
         "sha256": "0" * 64,
         "bytes": 184_000,
         "nodes": 301,
-        "wavelengths": 61,
+        "wavelengths": 31,
         "known": False,
         "largest_difference": 1e-4,
         "error_average_ratio": 8.4e-4 if resolved else 0.2,
