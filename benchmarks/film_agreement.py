@@ -1,24 +1,31 @@
-"""Largest deviations of our kernels from tmm 0.2.0, from each other and from energy conservation, on random stacks.
+"""Largest deviations of our kernels: from tmm 0.2.0 and each other on random stacks, from golden data and identities.
 
     python benchmarks/film_agreement.py [number of stacks, default 200]
 
 Stacks of 1 to 40 layers, half of them with absorbing layers and metals, from both sides, s and p, at 0, 89.9 and a
-random angle between.
+random angle between. Then the averages of tests/golden/thin_film.json (two other programs agree on them), and two
+identities of the paper's mirrors.
 """
 
 from __future__ import annotations
 
+import json
 import sys
 import warnings
+from pathlib import Path
 
 import numpy as np
 import tmm
 
 from containers.stack import StackRows
 from containers.thin_film import lossless
+from containers.thin_film.refinement import sampled
 from containers.thin_film.transfer_matrix import solve
+from luxloop.film import Spectrum
 
 KEYS = ("r", "t", "R", "T")
+GAN, ALN = 2.4869, 2.1793
+GOLDEN = Path(__file__).parents[1] / "tests" / "golden" / "thin_film.json"
 
 
 def random_stack(rng: np.random.Generator, absorbing: bool) -> tuple[np.ndarray, np.ndarray]:
@@ -59,6 +66,46 @@ def kernels_differ(n: np.ndarray, d: np.ndarray, wavelength: float, u: np.ndarra
     return float(np.abs(lossless.stack_reflectance(rows, u) - solve(n, d, 0.0, [wavelength], u).R_inside).max())
 
 
+def mirrors(pairs: list[float], order: str, wavelength: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """R of the paper's mirrors, (stack, wavelength, polarisation, u)."""
+    layers = {"gan_layer_nm": 45.2, "aln_layer_nm": 51.6, "layer_order": order}
+    return lossless.dbr_reflectance(pairs, wavelength, u, n_gan=GAN, n_aln=ALN, **layers)
+
+
+def golden_error() -> float:
+    """Largest deviation from the golden line averages."""
+    wavelength, weight = sampled(Spectrum(), 61)
+    worst = 0.0
+    for case, golden in json.loads(GOLDEN.read_text())["tables"].items():
+        side, order, pairs = case.split("|")
+        u = np.sin(np.radians(golden["deg"])) * (GAN if side == "GaN" else 1.0)
+        R = mirrors([float(pairs)], "gan_first" if order == "GaN-first" else "aln_first", wavelength, u)[0]
+        worst = max(worst, float(np.abs(weight @ R.mean(axis=1) - golden["R"]).max()))
+    return worst
+
+
+def half_pair_error() -> float:
+    """R(gan_first, p) against R(aln_first, p - 0.5), p 0.5 to 20, 0 to 89.9 deg."""
+    pairs = [0.5 + 0.5 * number for number in range(40)]
+    wavelength, u = np.linspace(400.0, 490.0, 7), GAN * np.sin(np.radians(np.linspace(0.0, 89.9, 91)))
+    other = mirrors([p - 0.5 for p in pairs], "aln_first", wavelength, u)
+    return float(np.abs(mirrors(pairs, "gan_first", wavelength, u) - other).max())
+
+
+def quarter_wave_error() -> float:
+    """R at normal incidence of 1 to 20 exact quarter-wave pairs against ((n0 - Y) / (n0 + Y))^2."""
+    worst = 0.0
+    for count in range(1, 21):
+        layers = np.tile([445.0 / (4.0 * ALN), 445.0 / (4.0 * GAN)], count)
+        n = [GAN, *np.tile([ALN, GAN], count), 1.0]
+        y = (ALN / GAN) ** (
+            2 * count
+        )  # each pair multiplies the admittance seen from the inside by (n_AlN / n_GaN)^2
+        exact = ((GAN - y) / (GAN + y)) ** 2
+        worst = max(worst, abs(float(solve(n, layers, 0.0, [445.0], [0.0]).R_inside[0, 0, 0]) - exact))
+    return worst
+
+
 def main(stacks: int) -> None:
     warnings.simplefilter("ignore")
     rng = np.random.default_rng(20)
@@ -78,6 +125,9 @@ def main(stacks: int) -> None:
     print(f"{'':<12}{'r':>10}{'t':>10}{'R':>10}{'T':>10}{'budget':>10}{'lossless':>10}")
     for absorbing, error in worst.items():
         print(f"{'absorbing' if absorbing else 'lossless':<12}" + "".join(f"{value:>10.1e}" for value in error))
+    print("golden line averages (mean of s and p)".ljust(52), f"{golden_error():.1e}")
+    print("R(gan_first, p) against R(aln_first, p - 0.5)".ljust(52), f"{half_pair_error():.1e}")
+    print("exact quarter waves, 1 to 20 pairs, closed form".ljust(52), f"{quarter_wave_error():.1e}")
 
 
 if __name__ == "__main__":
