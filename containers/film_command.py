@@ -31,6 +31,7 @@ Side = Literal["inside", "outside"]
 Polarisation = Literal["s", "p", "u"]
 CURVE_POINTS = 361
 EXPORTS = (".coated", ".bsdf", ".xml")
+PICTURES = (".png", ".pdf", ".svg")
 
 
 def film(
@@ -54,7 +55,7 @@ def film(
     tables: Annotated[
         bool, typer.Option("--tables", help="Also fetch the tables a tracer uses, and hold them against the values.")
     ] = False,
-    plot: Annotated[Path | None, typer.Option(help="Draw it into this PNG file.")] = None,
+    plot: Annotated[Path | None, typer.Option(help="Draw it into this file: .png, .pdf or .svg.")] = None,
     export: Annotated[
         Path | None,
         typer.Option(
@@ -66,15 +67,17 @@ def film(
 ) -> None:
     """Reflectance, transmittance or ellipsometry of a stack against angle or wavelength."""
     if (pairs is None) == (stack is None):
-        raise InputError("--pairs", pairs, "--pairs or --stack", "give exactly one of the two")
+        given = "neither" if pairs is None else "both"
+        raise InputError("--pairs, --stack", given, "exactly one of the two", "e.g. --pairs 5.5")
     question = _Question(
         find_model(model), model, pairs, stack, quantity, against, angles, wavelengths, side, polarisation, bandwidth
     )
     measurements = question.measurements(dense=plot is not None)
-    table_requests = question.table_requests() if tables or export is not None else []
+    wanting = "--tables" if tables else "--export"
+    table_requests = question.table_requests(wanting) if tables or export is not None else []
     if export is not None and len(table_requests) != 1:
         raise InputError("--export", str(export), "one number of pairs", "export one DBR at a time")
-    check_file("--plot", plot, (".png",))
+    check_file("--plot", plot, PICTURES)
     check_file("--export", export, EXPORTS)
     draw = _view(plot) if plot is not None else None
     settings = load_settings()
@@ -137,7 +140,9 @@ class _Question:
     @property
     def curve_axis(self) -> list[float]:
         """The finer points that a plot is drawn through."""
-        first, last = self.axis[0], self.axis[-1]
+        first, last = min(self.axis), max(self.axis)
+        if first == last:
+            return [first]
         return [first + (last - first) * i / (CURVE_POINTS - 1) for i in range(CURVE_POINTS)]
 
     @property
@@ -155,12 +160,13 @@ class _Question:
         resolve(stack, self.wavelengths_nm)  # a material that is not there, or has no data for a wavelength
         return requests
 
-    def table_requests(self) -> list[FilmTableRequest]:
-        """A request for each DBR's table."""
+    def table_requests(self, option: str) -> list[FilmTableRequest]:
+        """A request for each DBR's table; `option` is what asks for them."""
         from luxloop.film import FilmTableRequest, Spectrum
 
         if self.stack is not None or self.against != "angle" or self.quantity not in ("R", "T"):
-            raise InputError("--tables", True, "with --pairs, R or T against angle", "the same goes for --export")
+            asked = f"{self.quantity} of {'a stack' if self.stack else 'a DBR'} against {self.against}"
+            raise InputError(option, asked, "R or T of a DBR against angle", "use --pairs, and leave --against out")
         environment = self.model.environment
         line = Spectrum(peak_nm=environment.peak_nm, fwhm_nm=environment.fwhm_nm)
         return [

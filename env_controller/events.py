@@ -48,7 +48,7 @@ class Left(Event):
     """A worker's token vanished. Without `blame` (it is we who lost the router) no attempt is held against a task."""
 
     worker: str
-    reason: str = "its process ended"
+    reason: str = "its process ended, or hung, or its link was cut"
     blame: bool = True
 
 

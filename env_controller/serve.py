@@ -20,8 +20,10 @@ Quiet = Annotated[bool, typer.Option("--quiet", help="Say nothing on stderr but 
 def router(router: Router = None, quiet: Quiet = False) -> None:
     """Be the router that all processes meet at; binds to loopback unless told otherwise."""
     from luxloop.bus.zenoh_bus import run_router
+    from luxloop.endpoint import refuse_taken
 
     settings = load_settings(router=router)
+    refuse_taken(settings.router)
     _tell(quiet, f"router: listening at {settings.router}")
     run_router(settings, stop_event())
 

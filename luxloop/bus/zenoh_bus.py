@@ -20,7 +20,7 @@ import zenoh
 from luxloop.bus import Asked, Heard, Inbox, Interrupt, Presence, busy, too_large
 from luxloop.bus.frame import FRAME_BYTES
 from luxloop.bus.keys import KEYS, at, name_of
-from luxloop.endpoint import listening, refuse_taken
+from luxloop.endpoint import listening
 from luxloop.errors import RemoteError
 from luxloop.failure import Code, Failure
 from luxloop.settings import Settings
@@ -160,8 +160,7 @@ class ZenohBus:
 
 
 def run_router(settings: Settings, stop: threading.Event) -> None:
-    """Be the router at `settings.router` until `stop` is set. Raises LuxloopError where it cannot listen there."""
-    refuse_taken(settings.router)
+    """Be the router at `settings.router` until `stop` is set. Raises RemoteError where it cannot listen there."""
     config = _base_config("router")
     config.insert_json5("listen", json.dumps({"endpoints": [settings.router], "exit_on_failure": True}))
     session = _open(config, settings, as_router=True)
