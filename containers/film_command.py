@@ -127,6 +127,11 @@ class _Question:
         self.wavelengths_nm = numbers("--wavelengths", wavelengths or at_wavelength)
         of_line = self.stack is None and against == "angle" and not wavelengths
         self.bandwidth_nm = bandwidth_nm if bandwidth_nm is not None else environment.fwhm_nm if of_line else 0.0
+        _each(
+            "--pairs", self.pairs, lambda p: 0.0 <= p <= 100.0 and 2.0 * p % 1.0 == 0.0, "0 to 100 in halves, as 5.5"
+        )
+        _each("--angles", self.angles_deg, lambda angle: 0.0 <= angle < 90.0, "0 to below 90 deg, as 0:85:5")
+        _each("--wavelengths", self.wavelengths_nm, lambda nm: 0.0 < nm <= 1e6, "above 0 to 1e6 nm, as 400:500:10")
         fixed = self.wavelengths_nm if against == "angle" else self.angles_deg
         if len(fixed) != 1:
             option = "--wavelengths" if against == "angle" else "--angles"
@@ -257,6 +262,14 @@ class _Question:
                 "from_side": self.side,
             },
         )
+
+
+def _each(option: str, values: Sequence[float], is_right: Callable[[float], bool], allowed: str) -> None:
+    """Raise InputError for the first value that cannot be used, in the words of the command line."""
+    wrong = [value for value in values if not is_right(value)]
+    if wrong:
+        others = f"; {len(wrong) - 1} more like it" * (len(wrong) > 1)
+        raise InputError(option, wrong[0], allowed, f"correct it{others}")
 
 
 def _view(plot: Path) -> Callable[[dict[str, Any], Path], None]:
