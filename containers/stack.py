@@ -15,6 +15,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from containers.checked import wavelengths_nm
 from containers.materials import material
 from luxloop.errors import InputError
 from luxloop.model import Environment
@@ -50,7 +51,7 @@ class StackRows:
 
 def resolve(stack: Stack, wavelength_nm: ArrayLike) -> StackRows:
     """The rows of a stack at each vacuum wavelength (wavelength,) in nm; InputError out of a material's range."""
-    wavelength = np.atleast_1d(np.asarray(wavelength_nm, dtype=float))
+    wavelength = wavelengths_nm(wavelength_nm)
     media = [stack.inside, *(layer.medium for layer in stack.layers), stack.outside]
     columns = {medium: _index(medium, wavelength) for medium in set(media)}
     return StackRows(
@@ -76,9 +77,10 @@ def dbr_layers(dbr_pairs: float, layer_order: LayerOrder = "gan_first") -> tuple
     InputError unless `dbr_pairs` is a multiple of 0.5 from 0 to 100 and `layer_order` is known.
     """
     if not 0.0 <= dbr_pairs <= MAX_PAIRS or not float(2 * dbr_pairs).is_integer():
-        raise InputError("dbr_pairs", dbr_pairs, f"a multiple of 0.5 from 0 to {MAX_PAIRS:g}")
+        allowed = f"a multiple of 0.5 from 0 to {MAX_PAIRS:g}"
+        raise InputError("dbr_pairs", dbr_pairs, allowed, "N.5 pairs end with the material they begin with")
     if layer_order not in ("gan_first", "aln_first"):
-        raise InputError("layer_order", layer_order, "gan_first or aln_first")
+        raise InputError("layer_order", layer_order, "gan_first or aln_first", "which comes first")
     first, second = (GAN, ALN) if layer_order == "gan_first" else (ALN, GAN)
     return tuple(second if j % 2 else first for j in range(round(2 * dbr_pairs)))
 

@@ -17,17 +17,21 @@ from luxloop.errors import InputError
 from luxloop.words import Words
 
 MAX_LAYERS = 400
+MAX_NAME = 64
+MAX_THICKNESS_NM = 1e9
+MAX_ROUGHNESS_NM = 100.0
+MAX_N, MAX_K = 20.0, 50.0
 
-Thickness = Annotated[float, Field(ge=0.0, le=1e9)]
-Roughness = Annotated[float, Field(ge=0.0, le=100.0)]
+Thickness = Annotated[float, Field(ge=0.0, le=MAX_THICKNESS_NM)]
+Roughness = Annotated[float, Field(ge=0.0, le=MAX_ROUGHNESS_NM)]
 
 
 class Medium(Words):
     """One optical medium: a named material with dispersion, or a fixed index n + ik."""
 
-    material: str | None = Field(None, max_length=64)
-    n: float | None = Field(None, gt=0.0, le=20.0)
-    k: float = Field(0.0, ge=0.0, le=50.0)
+    material: str | None = Field(None, max_length=MAX_NAME)
+    n: float | None = Field(None, gt=0.0, le=MAX_N)
+    k: float = Field(0.0, ge=0.0, le=MAX_K)
 
     @model_validator(mode="after")
     def _one_way_to_say_it(self) -> Medium:

@@ -102,7 +102,7 @@ def _draw_parts(parts: tuple[Bsdf, ...], powers: Real, u: Real, theta_in: Real) 
     for k, part in enumerate(parts):
         rays = np.flatnonzero(chosen == k)
         rest = np.column_stack([left[rays], u[rays, 1], u[rays, 2]])
-        direction[rays] = part.sample(rest, theta_in[rays]).direction
+        direction[rays] = part._draw(rest, theta_in[rays])
     return direction
 
 

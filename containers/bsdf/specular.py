@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from containers.bsdf.surface import HALF_PI, Bsdf, Deltas, Real, checked_angle, checked_share, pick
+from containers.checked import within
 from luxloop.errors import InputError
 
 
@@ -60,8 +61,7 @@ class Fresnel(Specular):
 
     def __post_init__(self) -> None:
         for field, n in (("n_in", self.n_in), ("n_out", self.n_out)):
-            if not 0.0 < n < 20.0:
-                raise InputError(field, n, "a real index above 0, below 20", "absorbing media: use a film table")
+            within(field, n, 0.0, 20.0, "a real index; absorbing media: use a film table", above=True)
 
     @property
     def index_ratio(self) -> float:
@@ -88,18 +88,20 @@ class SpecularTable(Specular):
     index_ratio: float = 1.0
 
     def __post_init__(self) -> None:
-        theta = self.theta_in_rad
-        if theta.ndim != 1 or not theta.size or np.any(np.diff(theta) <= 0.0) or theta[0] < 0 or theta[-1] > HALF_PI:
-            raise InputError("theta_in_rad", theta, "increasing angles from 0 to pi/2")
-        for field, power in (("R", self.R), ("T", self.T)):
-            if power.shape != theta.shape or not np.all(power >= 0.0):
-                raise InputError(field, power.shape, f"powers from 0, of shape {theta.shape}")
+        theta = within("theta_in_rad", self.theta_in_rad, 0.0, HALF_PI, "increasing angles")
+        if theta.ndim != 1 or not theta.size or not np.all(np.diff(theta) > 0.0):
+            raise InputError("theta_in_rad", theta, "increasing angles from 0 to pi/2", "sort them")
+        for field in ("R", "T"):
+            power = within(field, getattr(self, field), 0.0, 1.0 + 1e-9, "a share of the incident power")
+            if power.shape != theta.shape:
+                raise InputError(field, power.shape, f"powers of shape {theta.shape}", "one for each angle")
+            object.__setattr__(self, field, power)
+        object.__setattr__(self, "theta_in_rad", theta)
         if np.any(self.R + self.T > 1.0 + 1e-9):
             row = int(np.argmax(self.R + self.T))
             at = f"{(self.R + self.T)[row]:.6f} at theta_in {np.degrees(theta[row]):.3f} deg (row {row})"
             raise InputError("R + T", at, "at most 1", "this row would create energy")
-        if not 0.0 < self.index_ratio < 20.0:
-            raise InputError("index_ratio", self.index_ratio, "n_in / n_out, above 0, below 20")
+        within("index_ratio", self.index_ratio, 0.0, 20.0, "n_in / n_out", above=True)
 
     def _powers(self, theta_in: Real) -> tuple[Real, Real]:
         return np.interp(theta_in, self.theta_in_rad, self.R), np.interp(theta_in, self.theta_in_rad, self.T)

@@ -22,10 +22,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from containers.checked import reals, within
 from luxloop.errors import InputError
 
 Real = NDArray[np.float64]
 HALF_PI = np.pi / 2
+UNIT_TOLERANCE = 1e-5
+"""Of the square of a direction's length: single precision is unit enough."""
 GRAZING = 1e-12
 """cos theta_out that is 0 but for rounding. A lobe's bsdf grows without bound towards it; there it is called 0."""
 
@@ -62,22 +65,22 @@ class Bsdf(ABC):
         uniforms : (n, 3), random numbers in [0, 1); the first also chooses between parts, what is left of it is used.
         theta_in_rad : scalar or (n,), angle between the incident direction and the normal, 0 to pi/2.
         """
-        u = np.asarray(uniforms, float)
+        u = within("uniforms", uniforms, 0.0, 1.0, "random numbers as numpy's Generator.random gives", below=True)
         if u.ndim != 2 or u.shape[1] != 3:
-            raise InputError("uniforms", u.shape, "an array of shape (n, 3)")
+            raise InputError("uniforms", u.shape, "an array of shape (n, 3)", "three random numbers for each ray")
         theta = np.broadcast_to(checked_angle(theta_in_rad), u.shape[:1])
         return Sample(self._draw(u, theta), self._albedo(theta))
 
     def evaluate(self, theta_in_rad: ArrayLike, direction: ArrayLike) -> Real:
         """The bsdf (1/sr) without its delta parts, for directions (..., 3) away from the surface."""
-        w = np.asarray(direction, float)
+        w = _checked_directions(direction)
         cosine = np.abs(w[..., 2])
-        intensity = self.intensity(theta_in_rad, w)
+        intensity = self._intensity(np.broadcast_to(checked_angle(theta_in_rad), w.shape[:-1]), w)
         return np.asarray(np.divide(intensity, cosine, out=np.zeros_like(intensity), where=cosine > GRAZING))
 
     def intensity(self, theta_in_rad: ArrayLike, direction: ArrayLike) -> Real:
         """Share of the incident power per solid angle (1/sr), bsdf x |cos theta_out|, without the delta parts."""
-        w = np.asarray(direction, float)
+        w = _checked_directions(direction)
         return self._intensity(np.broadcast_to(checked_angle(theta_in_rad), w.shape[:-1]), w)
 
     def albedo(self, theta_in_rad: ArrayLike) -> Real:
@@ -107,17 +110,24 @@ def direction_of(theta_rad: ArrayLike, phi_rad: ArrayLike) -> Real:
 
 def checked_angle(theta_in_rad: ArrayLike) -> Real:
     """The angles as floats; InputError outside 0 to pi/2."""
-    theta = np.asarray(theta_in_rad, float)
-    if not np.all((theta >= 0.0) & (theta <= HALF_PI)):
-        wrong = theta[~((theta >= 0.0) & (theta <= HALF_PI))]
-        raise InputError("theta_in_rad", float(wrong[0]), "0 to pi/2", "the incident direction points away too")
-    return theta
+    return within("theta_in_rad", theta_in_rad, 0.0, HALF_PI, "the incident direction points away too")
+
+
+def _checked_directions(direction: ArrayLike) -> Real:
+    """The directions as floats; InputError unless they are unit vectors (..., 3)."""
+    w = reals("direction", direction)
+    if w.ndim < 1 or w.shape[-1] != 3:
+        raise InputError("direction", w.shape, "an array of shape (..., 3)", "unit vectors, as direction_of gives")
+    length = np.einsum("...i,...i->...", w, w)
+    good = np.abs(length - 1.0) <= UNIT_TOLERANCE
+    if not good.all():
+        raise InputError("direction", float(np.sqrt(length[~good][0])), "vectors of length 1", "divide by the length")
+    return w
 
 
 def checked_share(field: str, value: float) -> None:
     """InputError unless `value` is a share of power, 0 to 1."""
-    if not 0.0 <= value <= 1.0:
-        raise InputError(field, value, "0 to 1", "more would create energy")
+    within(field, value, 0.0, 1.0, "a share of power: more would create energy")
 
 
 def pick(u: Real, shares: Real) -> tuple[NDArray[np.intp], Real]:

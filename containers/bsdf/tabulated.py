@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike
 
 from containers.bsdf.specular import specular_direction, totally_reflected
 from containers.bsdf.surface import HALF_PI, Bsdf, Deltas, Real, checked_angle, direction_of, pick
+from containers.checked import within
 from luxloop.errors import InputError
 
 ENERGY_TOLERANCE = 1e-9
@@ -249,8 +250,11 @@ def _check_axes(table: Tabulated) -> None:
     if theta[-1] > 2.0 and not np.isclose(theta, HALF_PI, rtol=1e-12).any():
         raise InputError("theta_out_edges_rad", theta, "an edge at pi/2", "it parts reflection from transmission")
     nodes = table.theta_in_rad
-    if nodes.ndim != 1 or not nodes.size or np.any(np.diff(nodes) <= 0.0) or nodes[0] < 0 or nodes[-1] > HALF_PI:
-        raise InputError("theta_in_rad", nodes, "increasing angles from 0 to pi/2")
+    within("theta_in_rad", nodes, 0.0, HALF_PI, "increasing angles")
+    if nodes.ndim != 1 or not nodes.size or not np.all(np.diff(nodes) > 0.0):
+        raise InputError("theta_in_rad", nodes, "increasing angles from 0 to pi/2", "sort them")
+    within("index_ratio", table.index_ratio, 0.0, 20.0, "n_in / n_out", above=True)
+    within("weight", table.weight, 0.0, 1.0 + 1e-9, "the share of each wavelength")
     cells = (theta.size - 1, table.phi_out_edges_rad.size - 1)
     polarisations = table.values.shape[1] if table.values.ndim == 5 else 0
     want = (table.wavelength_nm.size, polarisations, nodes.size, *cells)

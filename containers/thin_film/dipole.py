@@ -36,6 +36,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
+from containers.checked import reals, wavelengths_nm, within
 from containers.stack import StackRows
 from containers.thin_film.film_measurement import RowsAt, rows_function
 from containers.thin_film.incoherent import flipped, section
@@ -51,7 +52,9 @@ Orientation = Literal["horizontal", "vertical", "isotropic"]
 Side = Literal["outside", "inside"]
 SolidAngle = Literal["emitter", "outer"]
 
-RAY_ANGLE_RAD = np.radians(20.0)
+RAY_ANGLE_RAD = float(np.radians(20.0))
+MIN_DISTANCE_NM = 0.015
+"""Of a dipole from a face: rounding then errs by 2e-6, nearer by more; and no medium has an index so near."""
 
 
 class Emitter(Words):
@@ -110,9 +113,9 @@ def radiant_intensity(
     Equation, unit of power, source: head of this module. n^2 cos(theta) dOmega is the same in the layer and outside.
     """
     cavity = _cavity(stack, emitter, wavelength_nm)
-    theta = np.atleast_1d(np.asarray(theta_rad, float))
-    if not np.all((theta >= 0.0) & (theta <= np.pi / 2)):
-        raise InputError("theta_rad", theta_rad, "0 to pi/2", "angles from the normal, in radians")
+    theta = np.atleast_1d(within("theta_rad", theta_rad, 0.0, np.pi / 2, "angles from the normal, in radians"))
+    if per not in get_args(SolidAngle):
+        raise InputError("per", per, " | ".join(get_args(SolidAngle)), "the medium that solid angles are counted in")
     n, n_o = cavity.index[:, None], _outer_index(cavity, side)
     if per == "emitter":
         return _intensity(cavity, n * np.sin(theta), side)
@@ -152,7 +155,8 @@ def total_power(
     """All power that the dipole gives off (Purcell factor), as (wavelength,); 1 in a boundless medium.
 
     Parameters as those of `radiant_intensity`. `ray_angle_rad` turns the path of integration below the real axis;
-    the result does not depend on it. Error below 1e-9 where the dipole is 1 nm or further from the layer's faces.
+    the result does not depend on it. Error below 1e-9 of the power, where the dipole is 1 nm or further from the
+    layer's faces; nearer it grows, to 2e-6 at `MIN_DISTANCE_NM`.
 
     Raises
     ------
@@ -163,7 +167,12 @@ def total_power(
     if rough > 0.0:
         raise InputError("roughness_nm", rough, "0 for the total power", "use interlayer() for roughness")
     largest = min(50.0, max(float(h.index.real.max()) for h in (cavity.below, cavity.above)))
-    nearest = min(cavity.depths_nm.min(), cavity.thickness_nm - cavity.depths_nm.max())
+    nearest = float(min(cavity.depths_nm.min(), cavity.thickness_nm - cavity.depths_nm.max()))
+    if nearest < MIN_DISTANCE_NM:
+        allowed = f"dipoles {MIN_DISTANCE_NM:g} nm or further from the faces, here {nearest:.2g} nm"
+        mend = "nearer than an atom is large media have no index: take a thicker layer, or a smaller active_nm"
+        raise InputError("depth_nm", emitter.depth_nm, allowed, mend)
+    within("ray_angle_rad", ray_angle_rad, 0.01, 0.75, "the default is 0.35")
     last = 2.0 * largest + 20.0 / (float(cavity.k0_per_nm.min()) * nearest * np.cos(ray_angle_rad))
     tail = np.geomspace(2.0 * largest, last, 2 + int(np.log2(last / largest)))
     edges = np.concatenate([np.linspace(0.0, 2.0 * largest, 9)[:-1], tail])
@@ -174,16 +183,16 @@ def total_power(
 
 def line_average(values: ArrayLike, weights: ArrayLike) -> Real:
     """`values` (wavelength, ...) averaged over an emission line, as (...); `weights` (wavelength,), any scale."""
-    weight = np.asarray(weights, float)
+    weight = reals("weights", weights)
     if weight.ndim != 1 or np.any(weight < 0.0) or not np.isfinite(weight.sum()) or weight.sum() <= 0.0:
-        raise InputError("weights", weights, "one finite number >= 0 per wavelength, not all 0")
+        raise InputError("weights", weights, "one finite number >= 0 per wavelength, not all 0", "the spectrum")
     mean: Real = np.tensordot(weight / weight.sum(), np.asarray(values, float), axes=1)
     return mean
 
 
 def _cavity(stack: Stack | RowsAt, emitter: Emitter, wavelength_nm: ArrayLike) -> _Cavity:
     """The stack split at the emitting layer, and the depths over which the dipoles are spread."""
-    wavelength = np.atleast_1d(np.asarray(wavelength_nm, float))
+    wavelength = wavelengths_nm(wavelength_nm)
     rows = rows_function(stack)(wavelength)
     m, layers = emitter.layer, len(rows.thickness_nm)
     if m > layers:
@@ -194,7 +203,7 @@ def _cavity(stack: Stack | RowsAt, emitter: Emitter, wavelength_nm: ArrayLike) -
         raise InputError("k", complex(rows.index[0, m]), "0 in the emitting layer", "its absorption is not modelled")
     thickness, half = float(rows.thickness_nm[m - 1]), emitter.active_nm / 2.0
     if not (half <= emitter.depth_nm <= thickness - half and 0.0 < emitter.depth_nm < thickness):
-        raise InputError("depth_nm", emitter.depth_nm, f"the active layer within 0 to {thickness:g} nm")
+        raise InputError("depth_nm", emitter.depth_nm, f"the active layer within 0 to {thickness:g} nm", "move it")
     count = 1 if half == 0.0 else 12 + int(4.0 * np.pi * half * float((rows.index[:, m].real / wavelength).max()))
     nodes, weights = np.polynomial.legendre.leggauss(count)
     return _Cavity(
@@ -212,7 +221,7 @@ def _cavity(stack: Stack | RowsAt, emitter: Emitter, wavelength_nm: ArrayLike) -
 def _outer_index(cavity: _Cavity, side: Side) -> Real:
     """Index (wavelength, 1) of the half space of one side, which must not absorb."""
     if side not in get_args(Side):
-        raise InputError("side", side, " | ".join(get_args(Side)))
+        raise InputError("side", side, " | ".join(get_args(Side)), "where the light arrives")
     index = (cavity.above if side == "outside" else cavity.below).index[:, :1]
     if np.any(index.imag > 0.0):
         raise InputError(side, complex(index[0, 0]), "k = 0 where light is to arrive", "ask for the clear side")

@@ -6,8 +6,8 @@ is how `interlayer` adds a mixed layer and how a fit varies a dispersion formula
 Light of finite bandwidth. The instrument's line is a Gaussian of full width `bandwidth_nm` in wavelength; lamp and
 detector are flat over it. What it averages are the intensities: R, T, and for an ellipsometer |r_s|^2, |r_p|^2 and
 r_p conj(r_s) (Mueller elements), from which N, C, S, and then psi and delta follow. The average is a trapezoid sum
-over +-5 standard deviations, dense enough for the narrowest fringe of the coherent layers: it errs by less than
-2e-6 in R for films of 0.1 to 200 um on silicon and lines of 1 to 10 nm.
+over +-5 standard deviations, dense enough for the narrowest fringe of the coherent layers and doubled until half of
+its terms say the same: it errs by less than 2e-6 in R for films of 0.1 to 200 um on silicon and lines of 1 to 10 nm.
 """
 
 from __future__ import annotations
@@ -15,11 +15,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from itertools import zip_longest
 from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from containers.checked import wavelengths_nm, within
 from containers.stack import StackRows, resolve
 from containers.thin_film.ellipsometry import ncs_of_light, psi_delta_deg
 from containers.thin_film.incoherent import Light, flipped, respond
@@ -40,6 +42,7 @@ LINE_SIGMAS = 5.0
 """The instrument's line is cut here: 6e-7 of its area lies beyond."""
 
 MAX_LINE_NODES = 4001
+HALVES_DIFFER = 1e-3
 
 
 def measure(
@@ -101,10 +104,11 @@ def bruggeman(index_a: ArrayLike, index_b: ArrayLike, share_b: float = 0.5) -> C
     """Index n + ik of a fine mixture of two media, `share_b` of the volume being b.
 
     The root with Im e >= 0 of (1 - f)(e_a - e)/(e_a + 2e) + f (e_b - e)/(e_b + 2e) = 0, e = n^2, f = share_b; the
-    other root, -e_a e_b / 2e, has Im e <= 0. For grains far below the wavelength. Source: Bruggeman, Ann. Phys. 416,
-    636 (1935).
+    other root, -e_a e_b / 2e, has Im e <= 0. InputError for a share outside 0 to 1, and for what is no index. For
+    grains far below the wavelength. Source: Bruggeman, Ann. Phys. 416, 636 (1935).
     """
-    e_a, e_b = np.asarray(index_a, complex) ** 2, np.asarray(index_b, complex) ** 2
+    within("share_b", share_b, 0.0, 1.0, "the share of the volume that is b")
+    e_a, e_b = (_index(field, n) ** 2 for field, n in (("index_a", index_a), ("index_b", index_b)))
     half = ((2.0 - 3.0 * share_b) * e_a + (3.0 * share_b - 1.0) * e_b) / 4.0
     root = np.sqrt(half**2 + e_a * e_b / 2.0)
     plus = (root.imag > 0.0) | ((root.imag == 0.0) & (root.real >= 0.0))
@@ -127,16 +131,15 @@ def interlayer(stack: Stack | RowsAt, face: int, thickness_nm: float, share_oute
     ------
     InputError for a value out of range; for a face that the stack does not have, when the rows are asked for.
     """
-    if not 0.0 <= share_outer <= 1.0:
-        raise InputError("share_outer", share_outer, "0 to 1")
-    if not 0.0 <= thickness_nm < np.inf:
-        raise InputError("thickness_nm", thickness_nm, "a finite number >= 0")
+    within("share_outer", share_outer, 0.0, 1.0, "the share of the volume that is the outer neighbour")
+    within("thickness_nm", thickness_nm, 0.0, 1e9, "the thickness of the mixed layer in nm")
     rows_at = rows_function(stack)
 
     def with_interlayer(wavelength_nm: Real) -> StackRows:
         rows = rows_at(wavelength_nm)
-        if not 0 <= face <= len(rows.thickness_nm):
-            raise InputError("face", face, f"0 to {len(rows.thickness_nm)}, counted from the inside")
+        faces = range(len(rows.thickness_nm) + 1)
+        if face not in faces:
+            raise InputError("face", face, f"0 to {faces[-1]}, counted from the inside", "name a face of the stack")
         mixed = bruggeman(rows.index[:, face], rows.index[:, face + 1], share_outer)
         left = np.array([np.inf, *rows.thickness_nm, np.inf])  # the half spaces give without becoming thinner
         left[face : face + 2] -= thickness_nm * np.array([1.0 - share_outer, share_outer])
@@ -162,8 +165,7 @@ def _light(
     ellipsometry: bool = False,
 ) -> Light:
     """The instrument's average of the intensities."""
-    wavelength = _numbers("wavelength_nm", wavelength_nm, 1e-3, 1e9)
-    sine = np.sin(np.radians(_numbers("aoi_deg", aoi_deg, 0.0, 90.0)))
+    wavelength, sine = wavelengths_nm(wavelength_nm), np.sin(np.radians(_angles_deg(aoi_deg)))
     _one_of("from_side", from_side, Side)
     rows_at = rows_function(stack)
 
@@ -176,23 +178,45 @@ def _light(
 
     if bandwidth_nm == 0.0:
         return at(wavelength)
-    offsets_nm, weights = _line(rows_at(wavelength), wavelength, bandwidth_nm)
-    parts = [at(wavelength + offset) for offset in offsets_nm]
-    R = sum(w * part.R for w, part in zip(weights, parts, strict=True))
-    T = sum(w * part.T for w, part in zip(weights, parts, strict=True))
-    ps = sum(w * part.ps for w, part in zip(weights, parts, strict=True))
-    return Light(np.asarray(R), np.asarray(T), np.asarray(ps))
+    sigma_nm = bandwidth_nm / FWHM_PER_SIGMA
+    offsets = np.linspace(-LINE_SIGMAS, LINE_SIGMAS, _line_nodes(rows_at(wavelength), wavelength, bandwidth_nm))
+    parts = [at(wavelength + sigma_nm * offset) for offset in offsets]
+    while (differ := _halves_differ(parts, offsets)) > HALVES_DIFFER and 2 * offsets.size - 1 <= MAX_LINE_NODES:
+        between = (offsets[1:] + offsets[:-1]) / 2.0
+        new = [at(wavelength + sigma_nm * offset) for offset in between]
+        parts = [part for pair in zip_longest(parts, new) for part in pair if part is not None]
+        offsets = np.linspace(-LINE_SIGMAS, LINE_SIGMAS, 2 * offsets.size - 1)
+    if differ > HALVES_DIFFER:
+        allowed = f"{MAX_LINE_NODES} wavelengths that resolve the film; half of {offsets.size} differ by {differ:.1e}"
+        raise InputError("bandwidth_nm", bandwidth_nm, allowed, "ask for a narrower line")
+    return _averaged(parts, offsets)
 
 
-def _line(rows: StackRows, wavelength: Real, bandwidth_nm: float) -> tuple[Real, Real]:
-    """Wavelength offsets (node,) in nm and weights (node,), sum 1, of the instrument's Gaussian line.
+def _halves_differ(parts: list[Light], offsets: Real) -> float:
+    """By how much R or T of every second wavelength of a line differ from those of all.
+
+    For fringes and resonances alike the error of all is about the square of that: 1e-6 for `HALVES_DIFFER`.
+    """
+    whole, half = _averaged(parts, offsets), _averaged(parts[::2], offsets[::2])
+    return max(float(np.abs(whole.R - half.R).max()), float(np.abs(whole.T - half.T).max()))
+
+
+def _averaged(parts: list[Light], offsets: Real) -> Light:
+    """The average of intensities with Gaussian weights, offsets in standard deviations."""
+    weights = np.exp(-(offsets**2) / 2.0)
+    weights /= weights.sum()
+    fields = ([getattr(part, name) for part in parts] for name in ("R", "T", "ps"))
+    return Light(*(np.asarray(sum(w * value for w, value in zip(weights, of, strict=True))) for of in fields))
+
+
+def _line_nodes(rows: StackRows, wavelength: Real, bandwidth_nm: float) -> int:
+    """How many wavelengths (odd) to begin with for the instrument's Gaussian line.
 
     A trapezoid sum of step h (in standard deviations) errs by exp(-(2 pi / h - m phase)^2 / 2) on the m-th harmonic
     of a fringe whose phase turns by `phase` in one standard deviation; h leaves room for several harmonics.
     """
     widest = float(wavelength.min()) * FWHM_PER_SIGMA / (2.0 * LINE_SIGMAS)
-    if not 0.0 <= bandwidth_nm <= widest:
-        raise InputError("bandwidth_nm", bandwidth_nm, f"0 to {widest:.4g} nm at this wavelength", "give the FWHM")
+    within("bandwidth_nm", bandwidth_nm, 0.0, widest, "the FWHM of the instrument's line in nm, 0 for none")
     sigma_nm = bandwidth_nm / FWHM_PER_SIGMA
     path_nm = float((rows.index[:, 1:-1].real * rows.thickness_nm * rows.coherent).sum(axis=1).max())
     phase = 4.0 * np.pi * path_nm * sigma_nm / float(wavelength.min()) ** 2
@@ -200,9 +224,7 @@ def _line(rows: StackRows, wavelength: Real, bandwidth_nm: float) -> tuple[Real,
     if nodes > MAX_LINE_NODES:
         mend = "say coherent = false for the thick layer: its fringes are averaged away"
         raise InputError("bandwidth_nm", bandwidth_nm, f"at most {MAX_LINE_NODES} nodes, here {nodes}", mend)
-    offsets = np.linspace(-LINE_SIGMAS, LINE_SIGMAS, nodes)
-    weights = np.exp(-(offsets**2) / 2.0)
-    return offsets * sigma_nm, weights / weights.sum()
+    return nodes
 
 
 def rows_function(stack: Stack | RowsAt) -> RowsAt:
@@ -210,21 +232,21 @@ def rows_function(stack: Stack | RowsAt) -> RowsAt:
     return partial(resolve, stack) if isinstance(stack, Stack) else stack
 
 
-def _numbers(field: str, value: ArrayLike, least: float, below: float) -> Real:
-    array = np.atleast_1d(np.asarray(value, float))
-    if array.ndim != 1 or array.size == 0:
-        raise InputError(field, f"shape {array.shape}", "one number or a list of numbers")
-    bad = ~((array >= least) & (array < below))
-    if bad.any():
-        mend = (
-            "the angle in the medium of incidence, in degrees"
-            if field == "aoi_deg"
-            else "the vacuum wavelength in nm"
-        )
-        raise InputError(field, float(array[bad][0]), f"{least:g} <= value < {below:g}", mend)
-    return array
+def _angles_deg(value: ArrayLike) -> Real:
+    mend = "the angle in the medium of incidence, in degrees"
+    angles = np.atleast_1d(within("aoi_deg", value, 0.0, 90.0, mend, below=True))
+    if angles.ndim != 1 or not angles.size:
+        raise InputError("aoi_deg", f"shape {angles.shape}", "one number or a list of numbers", mend)
+    return angles
+
+
+def _index(field: str, value: ArrayLike) -> Complex:
+    index = np.asarray(value, complex)
+    if not (np.isfinite(index) & (index.real > 0.0) & (index.imag >= 0.0)).all():
+        raise InputError(field, value, "n > 0 and k >= 0, as n + ik", "give k with a plus sign")
+    return index
 
 
 def _one_of(field: str, value: object, kind: object) -> None:
     if value not in get_args(kind):
-        raise InputError(field, value, " | ".join(get_args(kind)))
+        raise InputError(field, value, " | ".join(get_args(kind)), "one of these words")

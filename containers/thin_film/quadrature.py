@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 Real = NDArray[np.float64]
 
 TOLERANCE = 1e-11
-"""A panel is halved until its value changes by less than this."""
+"""A panel is halved until its value changes by less than this, or than this share of a whole integral above 1."""
 
 MAX_HALVINGS = 40
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
@@ -33,8 +33,9 @@ def integral(density: Callable[[Real], Real], edges: Real) -> Real:
         middle = (low + high) / 2.0
         left, right = _panel_sums(density, low, middle), _panel_sums(density, middle, high)
         changed = np.abs(left + right - whole).max(axis=0)
-        open_ = changed > TOLERANCE
-        total = total + (left + right)[:, ~open_].sum(axis=1)
+        sums = left + right
+        open_ = changed > TOLERANCE * max(1.0, float(np.abs(total + sums.sum(axis=1)).max()))
+        total = total + sums[:, ~open_].sum(axis=1)
         if not open_.any():
             return total
         low, high = np.r_[low[open_], middle[open_]], np.r_[middle[open_], high[open_]]

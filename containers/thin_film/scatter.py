@@ -23,11 +23,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
-from luxloop.errors import InputError
+from containers.checked import NANOMETRES, reals, within
 from luxloop.words import Words
 
 Real = NDArray[np.float64]
-_NODES = 200
+_RULE = np.polynomial.legendre.leggauss(200)
 
 
 class AbcSpectrum(Words):
@@ -65,11 +65,14 @@ def lobe(
 
     Notes
     -----
-    Integrates to `scattered` over the half space. Equation, source, what is neglected: head of this module.
+    Integrates to `scattered` over the half space; InputError for numbers out of range. Equation, source, what is
+    neglected: head of this module.
     """
-    if not (n_exit > 0.0 and wavelength_nm > 0.0 and u_specular >= 0.0):
-        raise InputError("n_exit", (n_exit, wavelength_nm, u_specular), "n_exit, wavelength_nm > 0, u_specular >= 0")
-    theta, phi = np.asarray(theta_rad, float), np.asarray(phi_rad, float)
+    within("n_exit", n_exit, 0.0, 20.0, "the real index of the half space", above=True)
+    within("wavelength_nm", wavelength_nm, *NANOMETRES, "the vacuum wavelength in nm")
+    within("u_specular", u_specular, 0.0, 20.0, "n sin(theta) of the specular light")
+    within("scattered", scattered, 0.0, 1.0, "a share of the incident power")
+    theta, phi = reals("theta_rad", theta_rad), reals("phi_rad", phi_rad)
     k0 = 2.0 * np.pi / wavelength_nm
     along, across = n_exit * np.sin(theta) * np.cos(phi), n_exit * np.sin(theta) * np.sin(phi)
     density = spectrum.relative(k0 * np.hypot(along - u_specular, across))
@@ -87,7 +90,7 @@ def _disc(spectrum: AbcSpectrum, centre: float, radius: float, k0: float) -> flo
     whole = _circles(spectrum, b, radius - centre) if centre < radius else 0.0
     if centre == 0.0:
         return whole
-    x, weight = np.polynomial.legendre.leggauss(_NODES)
+    x, weight = _RULE
     low, high = np.arcsinh(b * nearest), np.arcsinh(b * farthest)
     v = (low + high) / 2 + (high - low) / 2 * np.sin(np.pi / 2 * x)
     dv = (high - low) / 2 * np.pi / 2 * np.cos(np.pi / 2 * x) * weight

@@ -8,10 +8,17 @@ import numpy as np
 
 from containers.bsdf import Bsdf, Deltas, SpecularTable
 from containers.bsdf.tabulated import tabulate_intensity
+from containers.thin_film.angles import indices, linear_nodes, powers_at, start_angles
 from containers.thin_film.scatter import AbcSpectrum, lobe
-from containers.thin_film.table import FilmTable, Real, Side
+from containers.thin_film.table import FilmTable, Powers, Real, Side
 
-_NODES = 46
+TOLERANCE_RATIO = 1e-4
+"""Largest error between two nodes of a surface without scatter; each of its nodes is two numbers."""
+SCATTER_TOLERANCE_RATIO = 1e-3
+"""The same with scatter, where a node is a whole hemisphere."""
+_MOST_NODES, _MOST_ROWS = 2000, 400
+_ROWS = np.linspace(0.0, np.pi / 2, 46)
+"""At least these: a lobe narrower than the step shows as two between them."""
 _THETA_EDGES = np.linspace(0.0, np.pi, 91)
 _PHI_EDGES = np.linspace(0.0, np.pi, 46)
 
@@ -24,48 +31,74 @@ def film_bsdf(table: FilmTable, side: Side, faces: AbcSpectrum | None = None) ->
     table : of the film.
     side : where the light comes from.
     faces : power spectrum of the rough faces, which gives the scattered powers S_R, S_T their directions (lobe at the
-        peak of the line, 2 deg x 4 deg cells); None leaves them out, as if absorbed.
+        peak of the line, 2 deg x 4 deg cells); None leaves them out, as if absorbed (`averaging_loss` says how much).
 
     Notes
     -----
-    Exact for one encounter. Indices of the half spaces are those of the peak: dispersion of a direction within the
-    line is neglected. Without `faces` the nodes are the table's own; with them 46, uniform in angle.
+    The powers of one encounter, at angles of incidence chosen so that linear interpolation between them errs by at
+    most `TOLERANCE_RATIO` (with scatter `SCATTER_TOLERANCE_RATIO`). Refracted light leaves at the angle of the peak's
+    indices; what other wavelengths would still send through beyond the peak's critical angle is reflected.
     """
     at = int(np.argmax(table.weight))
-    n_in, n_out = (float(n[at]) for n in _ordered(table, side))
-    powers = table.average(side)
-    own = table.u[: table.nodes(side)] <= n_in
-    theta = np.arcsin(table.u[: table.nodes(side)][own] / n_in)
-    if faces is None or not (powers.S_R.any() or powers.S_T.any()):
-        return SpecularTable(theta, powers.R[own], powers.T[own], n_in / n_out)
-    nodes = np.linspace(0.0, np.pi / 2, _NODES)
+    n_in, n_out = (float(n[at]) for n in indices(table, side))
+    scatters = any(f"{name}_{side}" in table.losses for name in ("S_R", "S_T"))
+    if faces is None or not scatters:
+        nodes = _nodes(table, side, TOLERANCE_RATIO, _MOST_NODES)
+        powers = _means(table, side, nodes)
+        return SpecularTable(nodes, powers.R, powers.T, n_in / n_out)
+    nodes = np.union1d(_nodes(table, side, SCATTER_TOLERANCE_RATIO, _MOST_ROWS), _ROWS)
+    R, T, S_R, S_T, _ = _means(table, side, nodes)
     u = n_in * np.sin(nodes)
-    R, T, S_R, S_T = (table.at(power, u) for power in (powers.R, powers.T, powers.S_R, powers.S_T))
-    T = np.where(u < n_out, T, 0.0)
     wavelength_nm = float(table.wavelength_nm[at])
 
     def intensity(angle: float, direction: Real) -> Real:
         row = int(np.argmin(np.abs(nodes - angle)))
         x, y, z = np.moveaxis(direction, -1, 0)
         polar, phi = np.arccos(np.minimum(np.abs(z), 1.0)), np.arctan2(y, x)
-        back = lobe(faces, float(S_R[row]), float(u[row]), n_in, wavelength_nm, polar, phi)
-        on = lobe(faces, float(S_T[row]), float(u[row]), n_out, wavelength_nm, polar, phi)
-        return np.asarray(np.where(z > 0.0, back, on))
+        found = np.empty(z.shape)
+        for half, scattered, n_exit in ((z > 0.0, S_R, n_in), (z <= 0.0, S_T, n_out)):
+            there = polar[half], phi[half]
+            found[half] = lobe(faces, float(scattered[row]), float(u[row]), n_exit, wavelength_nm, *there)
+        return found
 
     axes = nodes, _THETA_EDGES, _PHI_EDGES
     return tabulate_intensity(intensity, R + T + S_R + S_T, Deltas(R, T), n_in / n_out, axes)
 
 
-def averaging_loss(table: FilmTable, side: Side) -> Mapping[str, float]:
-    """Largest errors in R (power ratios) of using the mean over s and p, and over the line, in place of each."""
-    R = table.powers(side).R
-    over_line = np.tensordot(table.weight, R, axes=1)
+def averaging_loss(table: FilmTable, side: Side, faces: AbcSpectrum | None = None) -> Mapping[str, float]:
+    """Largest errors in R and T (power ratios) of `film_bsdf(table, side, faces)` in place of the table, by name.
+
+    "polarisation_ratio", "wavelength_ratio": the mean over s and p, over the line, for each of them (for wavelengths
+    of more than 1 % of the peak's weight). Where they are not 0: "scatter_ratio", the largest S_R + S_T, which is
+    left out without `faces`; "dispersion_ratio", what is reflected instead of refracted because the surface has the
+    critical angle of the peak.
+    """
+    theta = start_angles(table, side)
+    powers = powers_at(table, side, theta)
+    both = np.stack([powers.R, powers.T])
     seen = table.weight > 0.01 * table.weight.max()
-    return {
-        "polarisation": float(np.abs(R - R.mean(axis=1, keepdims=True)).max()),
-        "wavelength": float(np.abs(R[seen] - over_line).max()),
+    over_line = np.tensordot(both, table.weight, axes=(1, 0))
+    lost = {
+        "polarisation_ratio": float(np.abs(both - both.mean(axis=2, keepdims=True)).max()),
+        "wavelength_ratio": float(np.abs(both[:, seen] - over_line[:, None]).max()),
     }
+    if faces is None and (scattered := float((powers.S_R + powers.S_T).max())) > 0.0:
+        lost["scatter_ratio"] = scattered
+    n_in, n_out = (n[int(np.argmax(table.weight))] for n in indices(table, side))
+    beyond = n_in * np.sin(theta) >= n_out
+    if (refracted := float(over_line[1].mean(axis=0)[beyond].max(initial=0.0))) > 0.0:
+        lost["dispersion_ratio"] = refracted
+    return lost
 
 
-def _ordered(table: FilmTable, side: Side) -> tuple[Real, Real]:
-    return (table.n_inside, table.n_outside) if side == "inside" else (table.n_outside, table.n_inside)
+def _nodes(table: FilmTable, side: Side, tolerance: float, most: int) -> Real:
+    def values(theta: Real) -> Real:
+        return np.stack(_means(table, side, theta)[:4])
+
+    return linear_nodes(values, start_angles(table, side), tolerance, most)
+
+
+def _means(table: FilmTable, side: Side, theta: Real) -> Powers:
+    """Powers of unpolarised light of the whole line, each (angle,)."""
+    powers = powers_at(table, side, theta)
+    return Powers(*(np.tensordot(table.weight, power.mean(axis=1), axes=1) for power in powers))

@@ -35,7 +35,10 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from containers.checked import NANOMETRES, within
 from containers.compiled import kernel
+from containers.thin_film.power_budget import close_budget, fill_budget
+from containers.thin_film.waves import airy, face_amplitudes, wave_numbers
 from luxloop.errors import InputError
 
 Real = NDArray[np.float64]
@@ -43,11 +46,12 @@ Complex = NDArray[np.complex128]
 RoughnessModel = Literal["debye_waller", "nevot_croce"]
 
 POLARISATIONS = ("s", "p")
+MAX_PHASE_RAD = 1e9
+"""Largest |n| k0 d of a layer: its phase is then known to about 2e-7 rad."""
+MAX_U, MAX_INDEX = 1e6, 1e12
+"""Beyond these squares of amplitudes leave the range of floats."""
 MAX_EXCESS = {"debye_waller": 1e-2, "nevot_croce": 1e-9}
 """Largest power a roughness model may create; the graded one has no scatter channel to take an error."""
-
-_KZ_SQUARED_MIN = 1e-11
-"""Least |kz^2 / n^2| of a layer: at u = n exactly the waves to and fro are the same function."""
 
 
 @dataclass(frozen=True)
@@ -121,13 +125,15 @@ def solve(
     -----
     Equations, signs, sources and what is neglected: at the head of this module.
     """
-    wavelength = _vector("wavelength_nm", wavelength_nm, least=0.0, strict=True)
-    thickness = _vector("thickness_nm", thickness_nm, least=0.0)
+    wavelength = _vector("wavelength_nm", wavelength_nm, *NANOMETRES, "the vacuum wavelength in nm")
+    thickness = _vector("thickness_nm", thickness_nm, 0.0, np.inf, "thicknesses in nm, 0 or more")
     layers = thickness.size
     n = _indices(index, wavelength.size, layers + 2)
-    rough = _vector("roughness_nm", np.broadcast_to(np.asarray(roughness_nm, float), (layers + 1,)), least=0.0)
-    nodes = _vector("u", u, least=0.0, dims=(1, 2))
-    nodes = np.array(np.broadcast_to(nodes, (wavelength.size, nodes.shape[-1])), order="C")
+    _check_phase(n, thickness, wavelength)
+    rough = _of_shape("roughness_nm", roughness_nm, 1e9, (layers + 1,), "the rms height of each face in nm")
+    nodes = _of_shape("u", u, MAX_U, (wavelength.size, *np.shape(u)[-1:]), "n sin(theta) at each node")
+    if roughness_model not in MAX_EXCESS:
+        raise InputError("roughness_model", roughness_model, " or ".join(MAX_EXCESS), "debye_waller is the default")
     graded = roughness_model == "nevot_croce"
     shape = (wavelength.size, 2, nodes.shape[-1])
     amplitude = np.empty((4, *shape), complex)
@@ -141,31 +147,50 @@ def solve(
             f"here 1 + {excess:.2g}",
             "use debye_waller" if graded else "the model does not hold at this metal face: use a smaller roughness",
         )
+    if not np.isfinite(power).all():
+        field, value = ("roughness_nm", float(rough.max())) if rough.any() else ("index", list(n[0]))
+        mend = "the stack as it stands overflows: use a smaller roughness, indices nearer to 1"
+        raise InputError(field, value, "values for which all powers are finite", mend)
     fields: list[Any] = [*amplitude, *power, float(excess)]
     return StackResponse(*fields)
 
 
-def _vector(name: str, value: ArrayLike, least: float, strict: bool = False, dims: tuple[int, ...] = (1,)) -> Real:
-    array = np.array(value, dtype=float, order="C")  # a copy: a read-only array would be another type to compile for
-    allowed = f"finite numbers {'>' if strict else '>='} {least:g}"
-    if array.ndim not in dims:
-        raise InputError(name, f"{array.ndim} dimensions", f"{' or '.join(map(str, dims))} dimensions")
-    bad = ~np.isfinite(array) | (array < least) | (strict & (array == least))
-    if bad.any():
-        raise InputError(name, float(array[bad][0]), allowed)
+def _vector(field: str, value: ArrayLike, least: float, most: float, mend: str) -> Real:
+    array = np.array(within(field, value, least, most, mend), order="C")  # a read-only array would be another type
+    if array.ndim != 1:
+        raise InputError(field, f"{array.ndim} dimensions", "1 dimension", mend)
     return array
+
+
+def _of_shape(field: str, value: ArrayLike, most: float, shape: tuple[int, ...], mend: str) -> Real:
+    array = within(field, value, 0.0, most, mend)
+    try:
+        return np.array(np.broadcast_to(array, shape), order="C")
+    except ValueError as error:
+        raise InputError(field, f"shape {array.shape}", f"a shape that becomes {shape}", mend) from error
 
 
 def _indices(index: ArrayLike, wavelengths: int, media: int) -> Complex:
     array = np.asarray(index, complex)
     if array.ndim not in (1, 2) or array.shape[-1] != media or (array.ndim == 2 and len(array) != wavelengths):
-        raise InputError(
-            "index", f"shape {array.shape}", f"shape ({wavelengths}, {media}), layers and two half spaces"
-        )
-    bad = ~np.isfinite(array) | (array.real <= 0) | (array.imag < 0)
-    if bad.any():
-        raise InputError("index", complex(array[bad][0]), "n > 0 and k >= 0, as n + ik", "give k with a plus sign")
+        allowed = f"shape ({wavelengths}, {media}) or ({media},), layers and two half spaces"
+        raise InputError("index", f"shape {array.shape}", allowed, "one index for each medium, from the inside out")
+    size = np.abs(array)
+    good = (array.real > 0.0) & (array.imag >= 0.0) & (size >= 1.0 / MAX_INDEX) & (size <= MAX_INDEX)
+    if not good.all():
+        allowed = f"n > 0 and k >= 0, as n + ik, of modulus {1.0 / MAX_INDEX:g} to {MAX_INDEX:g}"
+        raise InputError("index", complex(array[~good][0]), allowed, "give k with a plus sign")
     return np.array(np.broadcast_to(array, (wavelengths, media)), order="C")
+
+
+def _check_phase(n: Complex, thickness: Real, wavelength: Real) -> None:
+    """InputError for a layer so thick that its phase, known to 16 digits, has none left for the interference."""
+    phase = 2.0 * np.pi * (np.abs(n[:, 1:-1]) * thickness).max(axis=1, initial=0.0) / wavelength
+    if not phase.max(initial=0.0) <= MAX_PHASE_RAD:
+        most = MAX_PHASE_RAD * float((wavelength / np.abs(n).max(axis=1)).min()) / (2.0 * np.pi)
+        allowed = f"at most {most:.2g} nm, beyond which rounding decides the interference"
+        mend = "call the layer incoherent, or a half space"
+        raise InputError("thickness_nm", float(thickness.max()), allowed, mend)
 
 
 @kernel
@@ -190,157 +215,18 @@ def _solve(
         n, k0 = index[w], 2.0 * np.pi / wavelength[w]
         by_n2 = 1.0 / (n * n)
         for i in range(u.shape[1]):
-            _wave_numbers(n, thickness, k0, u[w, i], kz, phase)
+            wave_numbers(n, thickness, k0, u[w, i], kz, phase)
             for p in range(2):
                 y[:] = kz * by_n2 if p else kz
                 to_e = n[0] / n[-1] if p else 1.0 + 0.0j
-                _faces(y, kz, rough, k0, graded, face, lost)
+                face_amplitudes(y, kz, rough, k0, graded, face, lost)
                 for side in range(2):  # 0: light from the outside, 1: from the inside
                     start = 0 if side else media - 1
-                    _airy(side, face, phase, rho, q)
-                    t = _budget(side, n, y, face, lost, phase, rho, q, rough, budget)
-                    created = _close(y[start].real, n[start].imag > 0.0, graded, budget)
+                    airy(side, face, phase, rho, q)
+                    t = fill_budget(side, n, y, face, lost, phase, rho, q, rough, budget)
+                    created = close_budget(y[start].real, n[start].imag > 0.0, graded, budget)
                     worst = max(worst, created)
                     amplitude[side, w, p, i] = rho[0]
                     amplitude[2 + side, w, p, i] = t * to_e if side else t / to_e
                     power[5 * side : 5 * side + 5, w, p, i] = budget
     return worst
-
-
-@kernel
-def _wave_numbers(index: Complex, thickness: Real, k0: float, u: float, kz: Complex, phase: Complex) -> None:
-    """Fill kz (in units of k0) of every medium and exp(i kz k0 d) of every layer."""
-    last = index.size - 1
-    for j in range(last + 1):
-        if 2 < j < last and index[j] == index[j - 2] and thickness[j - 1] == thickness[j - 3]:
-            kz[j], phase[j] = kz[j - 2], phase[j - 2]  # a periodic stack needs two of each
-            continue
-        n2 = index[j] * index[j]
-        kz2 = n2 - u * u
-        if 0 < j < last and _abs2(kz2) < _KZ_SQUARED_MIN**2 * _abs2(n2):
-            kz2 = _KZ_SQUARED_MIN * n2
-        root = np.sqrt(kz2)
-        kz[j] = -root if root.imag < 0.0 else root
-        phase[j] = np.exp(1j * kz[j] * k0 * thickness[j - 1]) if 0 < j < last else 1.0
-
-
-@kernel
-def _faces(y: Complex, kz: Complex, rough: Real, k0: float, graded: bool, face: Complex, lost: Real) -> None:
-    """Fill r, t of every face, `face[0]` for light from the outside and `face[1]` from the inside; same for `lost`.
-
-    `lost` holds the single-face scattered powers (reflected, transmitted) of a wave of unit amplitude.
-    """
-    for j in range(rough.size):
-        both = y[j] + y[j + 1]
-        r = (y[j] - y[j + 1]) * _inverse(both) if both != 0.0 else 0.0j
-        s2 = (rough[j] * k0) ** 2
-        for d in range(2):
-            i, o = (j, j + 1) if d else (j + 1, j)
-            r_d = r if d else -r
-            t_d = 1.0 + r_d
-            if s2 > 0.0 and graded:
-                r_d *= np.exp(-2.0 * kz[i] * kz[o] * s2)
-                t_d *= np.exp((kz[i] - kz[o]) ** 2 * s2 / 2.0)
-            elif s2 > 0.0:
-                by_r, by_t = np.exp(-2.0 * kz[i] * kz[i] * s2), np.exp(-((kz[i] - kz[o]) ** 2) * s2 / 2.0)
-                lost[d, j, 0] = max(0.0, y[i].real * _abs2(r_d) * (1.0 - _abs2(by_r)))
-                lost[d, j, 1] = max(0.0, y[o].real * _abs2(t_d) * (1.0 - _abs2(by_t)))
-                r_d, t_d = r_d * by_r, t_d * by_t
-            face[d, j, 0], face[d, j, 1] = r_d, t_d
-
-
-@kernel
-def _airy(d: int, face: Complex, phase: Complex, rho: Complex, q: Complex) -> None:
-    """Fill rho, the reflection amplitude just before each face, and q, that just after it (far end: 0).
-
-    Faces are counted from the side of incidence: `d` = 1 from the inside, 0 from the outside.
-    """
-    faces = face.shape[1]
-    beyond = 0.0j
-    for j in range(faces - 1, -1, -1):
-        f = j if d else faces - 1 - j
-        m = f + 1 if d else f
-        q[j] = beyond * phase[m] * phase[m]
-        through = face[d, f, 1] * face[1 - d, f, 1]
-        beyond = face[d, f, 0] + through * q[j] * _inverse(1.0 - face[1 - d, f, 0] * q[j])
-        rho[j] = beyond
-
-
-@kernel
-def _budget(
-    d: int,
-    index: Complex,
-    y: Complex,
-    face: Complex,
-    lost: Real,
-    phase: Complex,
-    rho: Complex,
-    q: Complex,
-    rough: Real,
-    budget: Real,
-) -> complex:
-    """Fill R, T, S_R, S_T, A (powers in units of the incident amplitude) for light from one side; returns t.
-
-    S_R and S_T are S times the shares of the single-face terms of all waves that meet a face.
-    """
-    faces = face.shape[1]
-    first, last = (0, faces) if d else (faces, 0)
-    scattered, absorbed, back, onward = 0.0, 0.0, 0.0, 0.0
-    a = 1.0 + 0.0j
-    for j in range(faces):
-        f = j if d else faces - 1 - j
-        m, m0 = (f + 1, f) if d else (f, f + 1)
-        there = face[d, f, 1] * a * _inverse(1.0 - face[1 - d, f, 0] * q[j])
-        if rough[f] > 0.0:
-            scattered += _flux(y[m0], a, rho[j]) - _flux(y[m], there, q[j])
-            to, fro = _abs2(a), _abs2(there * q[j])
-            back += to * lost[d, f, 0] + fro * lost[1 - d, f, 1]
-            onward += to * lost[d, f, 1] + fro * lost[1 - d, f, 0]
-        a = there * phase[m]
-        if index[m].imag > 0.0 and m != last:
-            absorbed += _flux(y[m], there, q[j]) - _flux(y[m], a, rho[j + 1])
-    share = back / (back + onward) if back + onward > 0.0 else 0.5
-    budget[0], budget[1], budget[4] = _abs2(rho[0]) * y[first].real, _abs2(a) * y[last].real, absorbed
-    budget[2], budget[3] = share * scattered, (1.0 - share) * scattered
-    return a
-
-
-@kernel
-def _close(incident: float, absorbing: bool, graded: bool, budget: Real) -> float:
-    """Turn powers into shares of the incident power that sum to 1; returns the power that the model has created."""
-    if incident <= 0.0:
-        budget[:] = 0.0
-        budget[0] = 1.0
-        return 0.0
-    budget /= incident
-    if absorbing or graded:
-        budget[2] = budget[3] = 0.0
-        budget[4] = 1.0 - budget[0] - budget[1]
-        return 0.0 if absorbing else max(0.0, -budget[4])
-    created: float = -(budget[2] + budget[3])
-    if created <= 0.0:
-        return 0.0
-    budget[2] = budget[3] = 0.0
-    if budget[4] >= created:
-        budget[4] -= created
-    else:
-        budget /= 1.0 + created
-    return created
-
-
-@kernel
-def _flux(y: complex, to: complex, ratio: complex) -> float:
-    """Power flux along + of a wave `to` and its companion `ratio * to` the other way."""
-    along: float = (y * (1.0 - ratio) * np.conj(1.0 + ratio)).real
-    return along * _abs2(to)
-
-
-@kernel
-def _abs2(z: complex) -> float:
-    return z.real * z.real + z.imag * z.imag
-
-
-@kernel
-def _inverse(z: complex) -> complex:
-    """1 / z without the scaling of the general complex division: no amplitude here comes near 1e154."""
-    return z.conjugate() * (1.0 / _abs2(z))

@@ -343,3 +343,54 @@ def test_bad_input_names_field_value_and_range() -> None:
         tabulate(GaussianLobe(0.97, 0.5 * DEG), 0.7, np.linspace(0, np.pi / 2, 10), np.linspace(0, np.pi, 10))
     with pytest.raises(InputError, match="sum of shares"):
         Mixture((Lambertian(1.0), Mirror(1.0)), (0.7, 0.7))
+
+
+@pytest.mark.parametrize("name", ["Lambertian", "lobe 5 deg", "mixture", "table of a mixture", "specular table"])
+@pytest.mark.parametrize("wrong", [1.0, -1e-9, -1.0, np.nan, np.inf])
+def test_random_numbers_outside_their_interval_are_refused(name: str, wrong: float) -> None:
+    """1.0, what is negative and what is no number would give directions that are none, without a word."""
+    u = uniforms(5)
+    u[3, 1] = wrong
+    with pytest.raises(InputError, match="uniforms: got"):
+        KINDS[name].sample(u, 0.4)
+
+
+@pytest.mark.parametrize("wrong", [[0.0, 0.0, 2.0], [0.6, 0.6, 0.6], [0.0, 0.0, 0.0], [np.nan, 0.0, 1.0], [0.0, 1.0]])
+def test_directions_that_are_no_unit_vectors_are_refused(wrong: list[float]) -> None:
+    """A direction of another length is no direction: the bsdf would be another."""
+    for verb in (LOBE.evaluate, LOBE.intensity):
+        with pytest.raises(InputError, match="direction: got"):
+            verb(0.3, np.array([wrong, wrong]))
+    single = direction_of(0.4, 0.3).astype(np.float32)  # six digits are enough
+    assert LOBE.evaluate(0.4, single) == pytest.approx(LOBE.evaluate(0.4, direction_of(0.4, 0.3)), rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("theta", "R", "T", "field"),
+    [
+        ([0.0, np.nan], [0.1, 0.1], [0.1, 0.1], "theta_in_rad"),
+        ([0.0, 0.0], [0.1, 0.1], [0.1, 0.1], "theta_in_rad"),
+        ([0.0, 1.6], [0.1, 0.1], [0.1, 0.1], "theta_in_rad"),
+        ([0.0, 1.0], [0.1, np.nan], [0.1, 0.1], "R"),
+        ([0.0, 1.0], [0.1, 0.1], [0.1, -0.1], "T"),
+        ([0.0, 1.0], [0.1, 0.1], [0.1], "T"),
+    ],
+)
+def test_specular_tables_with_holes_are_refused(
+    theta: list[float], R: list[float], T: list[float], field: str
+) -> None:
+    """Nodes and powers that are not numbers in range, from lists too."""
+    with pytest.raises(InputError) as refusal:
+        SpecularTable(theta, R, T)  # type: ignore[arg-type]  # lists become arrays
+    assert refusal.value.field == field
+
+
+def test_tables_with_nodes_or_weights_that_are_no_numbers_are_refused() -> None:
+    """nan compares as false: it passed for increasing, and for a sum of 1."""
+    edges = np.array([0.0, np.pi / 2]), np.array([0.0, np.pi])
+    with pytest.raises(InputError, match="theta_in_rad"):
+        Tabulated(np.zeros((1, 1, 1, 1, 1)), np.array([np.nan]), *edges)
+    with pytest.raises(InputError, match="weight"):
+        Tabulated(np.zeros((1, 1, 1, 1, 1)), np.zeros(1), *edges, weight=np.array([np.nan]))
+    with pytest.raises(InputError, match="index_ratio"):
+        Tabulated(np.zeros((1, 1, 1, 1, 1)), np.zeros(1), *edges, index_ratio=np.nan)

@@ -384,6 +384,46 @@ def test_bad_dipoles_are_named(field: str, stack: Stack, emitter: Emitter) -> No
     assert refusal.value.field == field
 
 
+@pytest.mark.parametrize(
+    ("field", "arguments"),
+    [
+        ("per", {"per": "air"}),
+        ("side", {"side": "above"}),
+        ("wavelength_nm", {"wavelength_nm": [0.0]}),
+        ("wavelength_nm", {"wavelength_nm": [np.nan]}),
+        ("theta_rad", {"theta_rad": [0.1 + 1j]}),
+        ("theta_rad", {"theta_rad": [np.nan]}),
+    ],
+)
+def test_words_and_numbers_that_mean_nothing_are_refused(field: str, arguments: dict[str, object]) -> None:
+    """Any word but "emitter" was taken for "outer"."""
+    asked = {"wavelength_nm": [LAM], "theta_rad": [0.1]} | arguments
+    with pytest.raises(InputError) as refusal:
+        radiant_intensity(emitting(100.0), Emitter(layer=1, depth_nm=50.0), **asked)  # type: ignore[arg-type]  # wrong
+    assert refusal.value.field == field
+    assert refusal.value.mend
+
+
+def test_total_power_of_nothing_and_at_a_face_is_refused() -> None:
+    """A wavelength of 0 gave nan; nearer to a face than 0.015 nm rounding decides."""
+    with pytest.raises(InputError, match="wavelength_nm"):
+        total_power(emitting(100.0), Emitter(layer=1, depth_nm=50.0), [0.0])
+    with pytest.raises(InputError, match=r"0\.015 nm or further from the faces"):
+        total_power(emitting(100.0), Emitter(layer=1, depth_nm=0.003), [LAM])
+    with pytest.raises(InputError, match="ray_angle_rad"):
+        total_power(emitting(100.0), Emitter(layer=1, depth_nm=50.0), [LAM], ray_angle_rad=2.0)
+
+
+@pytest.mark.parametrize("depth_nm", [0.02, 0.1])
+def test_power_next_to_a_metal_is_the_image_of_the_static_dipole(depth_nm: float) -> None:
+    """F -> 3 Im[(e2 - e1) / (e2 + e1)] / (8 (k d)^3), vertical, at distances far below the wavelength (to 1 %)."""
+    found = total_power(emitting(300.0, below=SILVER, above=GAN), Emitter(
+        layer=1, depth_nm=depth_nm, orientation="vertical"), [LAM])  # fmt: skip
+    e1, e2 = N**2, (0.04 + 2.6j) ** 2
+    expected = 3.0 * ((e2 - e1) / (e2 + e1)).imag / (8.0 * (K * depth_nm) ** 3)
+    assert found[0] == pytest.approx(expected, rel=0.01)
+
+
 def test_bad_angles_and_weights_are_refused() -> None:
     """Degrees where radians belong, and a line without weight."""
     with pytest.raises(InputError, match="theta_rad"):

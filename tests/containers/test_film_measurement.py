@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from containers.stack import dbr_stack, resolve
+from containers.stack import dbr_of, dbr_stack, resolve
 from containers.thin_film.ellipsometry import (
     delta_residual_deg,
     depolarisation,
@@ -17,7 +17,9 @@ from containers.thin_film.ellipsometry import (
     psi_delta_deg,
 )
 from containers.thin_film.film_measurement import bruggeman, interlayer, measure, measure_ncs
+from containers.thin_film.lossless import stack_reflectance
 from luxloop.errors import InputError
+from luxloop.model import Environment
 from luxloop.stack import Layer, Medium, Stack
 
 AIR, GLASS, SAPPHIRE, GAN, ALN = (Medium(n=n) for n in (1.0, 1.52, 1.78, 2.4869, 2.1793))
@@ -339,6 +341,26 @@ def test_interlayer_gives_the_published_reflectance_of_the_dbr() -> None:
     np.testing.assert_allclose(read, [0.638402, 0.6375, 0.6330], atol=6e-5)
 
 
+@pytest.mark.parametrize("face", [0, 1, 2])
+@pytest.mark.parametrize("share_outer", [0.0, 1.0])
+def test_an_interlayer_that_is_all_one_neighbour_changes_nothing(face: int, share_outer: float) -> None:
+    """Of share 0 it is the inner neighbour, taken from it; of share 1 the outer one: the stack is what it was."""
+    layers = (Layer(medium=ALN, thickness_nm=50.0), Layer(medium=GLASS, thickness_nm=80.0))
+    stack = Stack(inside=SILICON, layers=layers, outside=AIR)
+    wave = np.array([445.0])
+    mixed = measure(interlayer(stack, face, 7.0, share_outer), "R", wave, AOI)
+    np.testing.assert_allclose(mixed, measure(stack, "R", wave, AOI), atol=1e-13)
+
+
+def test_an_interlayer_of_little_outer_material_is_nearly_the_inner_one() -> None:
+    """GaN with a fifth of glass: an index between theirs, nearer to GaN; a fifth of it is taken from the glass."""
+    stack = Stack(inside=GAN, layers=(Layer(medium=GLASS, thickness_nm=50.0),), outside=AIR)
+    rows = interlayer(stack, 0, 10.0, 0.2)(np.array([445.0]))
+    linear = 0.8 * 2.4869 + 0.2 * 1.52
+    assert rows.index[0, 1].real == pytest.approx(linear, abs=0.05)
+    np.testing.assert_allclose(rows.thickness_nm, [10.0, 48.0])
+
+
 def test_interlayers_can_be_added_one_after_the_other_and_zero_thickness_changes_nothing() -> None:
     """An interlayer of 0 nm is no interlayer; two at two faces make a stack of two layers more."""
     stack = Stack(inside=GAN, layers=(Layer(medium=ALN, thickness_nm=50.0),), outside=AIR)
@@ -382,6 +404,9 @@ LOSSY_OUT = Stack(inside=AIR, layers=(), outside=Medium(n=2.49, k=0.01))
         ("aoi_deg", (BARE, "R", [500.0], [-1.0])),
         ("aoi_deg", (BARE, "R", [500.0], [np.nan])),
         ("aoi_deg", (BARE, "R", [500.0], [])),
+        ("aoi_deg", (BARE, "R", [500.0], [30.0 + 1j])),
+        ("aoi_deg", (BARE, "R", [500.0], ["steep"])),
+        ("wavelength_nm", (BARE, "R", [500.0 + 1j], [0.0])),
         ("wavelength_nm", (BARE, "R", [np.nan], [0.0])),
         ("wavelength_nm", (BARE, "R", [0.0], [0.0])),
         ("quantity", (BARE, "rho", [500.0], [0.0])),
@@ -401,6 +426,24 @@ def test_bad_input_is_named(field: str, arguments: tuple[object, ...]) -> None:
         measure(*arguments)  # type: ignore[arg-type]  # wrong on purpose
     assert refusal.value.field == field
     assert refusal.value.allowed
+    assert refusal.value.mend
+
+
+@pytest.mark.parametrize(
+    ("field", "arguments"),
+    [
+        ("share_b", (1.5, 1.0, 2.0)),
+        ("share_b", (1.5, 1.0, -0.1)),
+        ("share_b", (1.5, 1.0, np.nan)),
+        ("index_a", (np.nan, 1.0)),
+        ("index_b", (1.5, 0.5 - 1j)),
+    ],
+)
+def test_bruggeman_refuses_shares_and_indices_that_do_not_exist(field: str, arguments: tuple[complex, ...]) -> None:
+    """A share of 2 gave an index of 0.68 without a word."""
+    with pytest.raises(InputError) as refusal:
+        bruggeman(*arguments)  # type: ignore[arg-type]  # wrong on purpose
+    assert refusal.value.field == field
 
 
 def test_bandwidth_on_a_substrate_called_coherent_names_the_mend() -> None:
@@ -418,3 +461,18 @@ def test_interlayer_refuses_what_the_stack_does_not_have(face: int, nm: float, s
     stack = Stack(inside=GAN, layers=(Layer(medium=ALN, thickness_nm=50.0),), outside=AIR)
     with pytest.raises(InputError):
         interlayer(stack, face, nm, share)(np.array([445.0]))
+
+
+@pytest.mark.parametrize("pairs", [9.5, 30.5, 60.0])
+def test_the_line_average_resolves_the_resonances_of_many_pairs(pairs: float) -> None:
+    """Resonances far narrower than a fringe: the average is that of 20,001 wavelengths, to 2e-6."""
+    stack, angles = dbr_of(Environment(), pairs), [0.0, 15.0, 18.0, 21.0]
+    line = np.linspace(445.0 - 40.0, 445.0 + 40.0, 20_001)
+    weight = np.exp(-4.0 * np.log(2.0) * ((line - 445.0) / 18.0) ** 2)
+    u = 2.4869 * np.sin(np.radians(angles))
+    exact = sum(
+        weight[part] @ stack_reflectance(resolve(stack, line[part]), u).mean(axis=1)
+        for part in np.array_split(np.arange(line.size), 10)
+    )
+    found = measure(stack, "R", [445.0], angles, "u", 18.0, "inside")[0]
+    np.testing.assert_allclose(found, exact / weight.sum(), atol=2e-6)

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from containers.materials import material
 from containers.stack import dbr_of, dbr_stack, resolve
 from containers.thin_film.lossless import applies, dbr_reflectance, family_reflectance, stack_reflectance
-from containers.thin_film.table import sampled
+from containers.thin_film.refinement import sampled
 from containers.thin_film.transfer_matrix import solve
 from luxloop.errors import InputError
 from luxloop.film import Spectrum

@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from containers.stack import dbr_of, resolve
-from containers.thin_film.table import sampled
+from containers.thin_film.refinement import sampled
 from containers.thin_film.transfer_matrix import StackResponse, solve
 from luxloop.errors import InputError
 from luxloop.film import Spectrum
@@ -240,6 +240,104 @@ def test_rough_lossless_stacks_create_no_power(seed: int, sigma: float) -> None:
     assert min(x.min() for x in (r.S_R_inside, r.S_T_inside, r.S_R_outside, r.S_T_outside)) >= 0.0
 
 
+def waves_of_two_faces(n: Any, d: float, k0: float, s: Any, u: float, p: int) -> tuple[Any, Any, Any]:
+    """Two rough faces about one layer, light from medium 0: tilted admittances, kz, and the waves at the faces.
+
+    The four unknown amplitudes (reflected, to and fro in the layer at its first face, transmitted) come from one
+    linear system, face by face: out = r in + t' in', with the Debye-Waller factors on each r and t.
+    """
+    kz = np.sqrt(np.array(n) ** 2 - u**2)
+    y = kz / np.array(n) ** 2 if p else kz
+
+    def face(i: int, o: int, j: int) -> tuple[float, float]:
+        r = (y[i] - y[o]) / (y[i] + y[o])
+        return r * np.exp(-2 * (kz[i] * s[j] * k0) ** 2), (1 + r) * np.exp(-(((kz[i] - kz[o]) * s[j] * k0) ** 2) / 2)
+
+    (r01, t01), (r10, t10), (r12, t12) = face(0, 1, 0), face(1, 0, 0), face(1, 2, 1)
+    e = np.exp(1j * kz[1] * k0 * d)
+    # unknown: R back in 0, F forth in 1 at face 0, B back in 1 at face 0, T
+    matrix = np.array([[1, 0, -t10, 0], [0, 1, -r10, 0], [0, -r12 * e * e, 1, 0], [0, -t12 * e, 0, 1]])
+    R, F, B, T = np.linalg.solve(matrix, np.array([r01, t01, 0, 0]))
+    return y, kz, (R, B, T, F * e)
+
+
+@pytest.mark.parametrize("p", [0, 1])
+@pytest.mark.parametrize("u", [0.0, 0.6, 0.95])
+@pytest.mark.parametrize("s", [(3.0, 0.0), (0.0, 2.0), (1.0, 3.0)])
+def test_scatter_of_two_faces_is_divided_as_the_waves_that_meet_them(
+    s: tuple[float, float], u: float, p: int
+) -> None:
+    """S and its halves from both sides, against the waves of a linear system and what each loses at each face.
+
+    A wave onto a face scatters the part that its r^2 lost back to where it came from, that of t^2 to the far side;
+    so of a wave that travels back it is the t^2 part that goes to the side of incidence.
+    """
+    n, d, k0 = [2.5, 1.7, 1.0], 70.0, 2 * np.pi / 445.0
+    found = solve(n, [d], s, [445.0], [u])
+    for side in ("inside", "outside"):
+        step = 1 if side == "inside" else -1
+        media, rough = n[::step], s[::step]
+        y, kz, (R, B, T, F1) = waves_of_two_faces(media, d, k0, rough, u, p)
+
+        def lost(i: int, o: int, j: int, y: Any = y, kz: Any = kz, rough: Any = rough) -> tuple[float, float]:
+            r, sigma = (y[i] - y[o]) / (y[i] + y[o]), rough[j] * k0
+            by_r, by_t = -np.expm1(-4 * (kz[i] * sigma) ** 2), -np.expm1(-(((kz[i] - kz[o]) * sigma) ** 2))
+            return y[i] * r**2 * by_r, y[o] * (1 + r) ** 2 * by_t
+
+        a, b, c = lost(0, 1, 0), lost(1, 0, 0), lost(1, 2, 1)
+        back = a[0] + abs(B) ** 2 * b[1] + abs(F1) ** 2 * c[0]
+        onward = a[1] + abs(B) ** 2 * b[0] + abs(F1) ** 2 * c[1]
+        scattered = 1.0 - abs(R) ** 2 - abs(T) ** 2 * y[2] / y[0]
+        S_R, S_T = getattr(found, f"S_R_{side}")[0, p, 0], getattr(found, f"S_T_{side}")[0, p, 0]
+        halves = np.array([back, onward]) / (back + onward) * scattered
+        np.testing.assert_allclose([S_R, S_T], halves, rtol=1e-9)
+
+
+def test_scatter_of_a_stack_turned_round_is_that_from_the_other_side() -> None:
+    """Eight rough layers, three of them lossy: inside and outside change places, the halves of S with them."""
+    n, d = random_stack(np.random.default_rng(21), False, 8)
+    n[[2, 5, 6]] += 0.02j
+    s = np.linspace(0.2, 2.0, 9)
+    u = np.linspace(0.0, 0.99 * n.real[[0, -1]].min(), 20)
+    there, back = solve(n, d, s, [450.0], u), solve(n[::-1], d[::-1], s[::-1], [450.0], u)
+    for name in ("R", "T", "S_R", "S_T", "A"):
+        np.testing.assert_allclose(getattr(there, f"{name}_inside"), getattr(back, f"{name}_outside"), atol=1e-13)
+    assert np.abs(there.S_R_inside - there.S_R_outside).max() > 1e-4
+    assert np.abs(there.S_T_inside - there.S_T_outside).max() > 1e-4
+
+
+def test_layers_of_one_material_and_several_thicknesses_agree_with_tmm() -> None:
+    """Equal indices two apart with thicknesses that differ: no layer takes the phase of another."""
+    n = np.array([2.5, *([1.5, 2.2] * 5), 1.0])
+    d = np.array([40.0, 50.0, 60.0, 55.0, 45.0, 80.0, 45.0, 30.0, 90.0, 20.0])
+    u = np.array([0.0, 0.4, 0.9])
+    R = solve(n, d, 0.0, [445.0], u).R_inside[0]
+    for p, name in enumerate("sp"):
+        theirs = [tmm.coh_tmm(name, n, [np.inf, *d, np.inf], np.arcsin(x / 2.5), 445.0)["R"] for x in u]
+        np.testing.assert_allclose(R[p], theirs, atol=1e-12)
+
+
+@pytest.mark.parametrize("below", [1e-5, 1e-7, 1e-9])
+def test_a_wave_that_nearly_grazes_in_a_thick_layer_keeps_its_phase(below: float) -> None:
+    """2 um of 1.5 between 2.5 and 2.0 at u just below 1.5: the closed form of one layer, to 1e-8."""
+    u, k0, d = 1.5 * (1.0 - below), 2 * np.pi / 445.0, 2000.0
+    kz = np.sqrt(np.array([2.5, 1.5, 2.0]) ** 2 - u**2)
+    kz[1] = 1.5 * np.sqrt(below * (2.0 - below))  # without the rounding of the difference
+    r01, r12 = (kz[0] - kz[1]) / (kz[0] + kz[1]), (kz[1] - kz[2]) / (kz[1] + kz[2])
+    turn = np.exp(2j * kz[1] * k0 * d)
+    R = abs((r01 + r12 * turn) / (1 + r01 * r12 * turn)) ** 2
+    assert solve([2.5, 1.5, 2.0], [d], 0.0, [445.0], [u]).R_inside[0, 0, 0] == pytest.approx(R, abs=2e-7)
+
+
+def test_what_an_absorbing_far_side_takes_is_transmitted_not_absorbed() -> None:
+    """Clear layers on silver and on GaN with k: from the clear side A = 0 exactly and R + T + S = 1."""
+    for far in (SILVER, GAN + 0.3j):
+        for s in (0.0, 0.5):
+            r = solve([far, 2.0, 1.5, 1.0], [60.0, 80.0], s, [445.0], np.linspace(0.0, 0.99, 12))
+            assert not r.A_outside.any()
+            np.testing.assert_allclose(r.R_outside + r.T_outside + r.S_R_outside + r.S_T_outside, 1.0, atol=1e-12)
+
+
 def test_roughness_beyond_the_model_is_refused() -> None:
     """A metal film with rough faces, and Nevot-Croce where R + T exceeds 1, are refused by name and size."""
     with pytest.raises(InputError, match=r"roughness_nm: got 5.0.*debye_waller"):
@@ -340,6 +438,18 @@ def test_monochromatic_anchors() -> None:
         ({"roughness_nm": [-2.0, 0.0]}, "roughness_nm: got -2.0"),
         ({"index": [2.5, 2.0 - 0.1j, 1.0]}, "give k with a plus sign"),
         ({"index": [2.5, 1.0]}, "index: got 'shape"),
+        ({"index": [2.5, 1e-200, 1.0]}, "index: got"),
+        ({"index": [np.nan, 2.0, 1.0]}, "index: got"),
+        ({"thickness_nm": [1e17]}, "thickness_nm: got 1e+17"),
+        ({"thickness_nm": [1e300]}, "thickness_nm: got 1e+300"),
+        ({"thickness_nm": [np.inf]}, "thickness_nm: got inf"),
+        ({"thickness_nm": ["thin"]}, "thickness_nm: got ['thin']"),
+        ({"thickness_nm": 50.0}, "thickness_nm: got '0 dimensions'"),
+        ({"u": [1e200]}, "u: got 1e+200"),
+        ({"u": [0.5 + 1j]}, "u: got [(0.5+1j)]"),
+        ({"u": np.zeros((2, 3))}, "u: got 'shape (2, 3)'"),
+        ({"roughness_nm": [1.0, 2.0, 3.0]}, "roughness_nm: got 'shape (3,)'"),
+        ({"roughness_model": "nevot"}, "roughness_model: got 'nevot'"),
     ],
 )
 def test_values_out_of_range_are_named(change: dict[str, Any], words: str) -> None:
@@ -350,3 +460,5 @@ def test_values_out_of_range_are_named(change: dict[str, Any], words: str) -> No
     with pytest.raises(InputError) as refused:
         solve(**{**good, **change})
     assert words in str(refused.value)
+    assert refused.value.allowed
+    assert refused.value.mend

@@ -16,12 +16,17 @@ class Exported:
 
     text: str
     lost: Mapping[str, float]
-    """What the format cannot carry, by name, with the largest error it makes (its unit in the exporter's notes)."""
+    """What the format cannot carry, by name, with the largest error it makes. The name ends with the unit: `_ratio`
+    is a power over the incident power, `_deg` and `_sr` are angles over which light in one direction is spread."""
 
 
 def lost_words(lost: Mapping[str, float]) -> str:
-    """One line for the file itself: what was lost, and by how much."""
-    return "lost: " + ", ".join(f"{name} {error:.3g}" for name, error in lost.items()) if lost else "nothing lost"
+    """One line for the file itself: what was lost, and by how much, each with its unit."""
+    words = []
+    for name, error in lost.items():
+        plain, _, unit = name.rpartition("_")
+        words.append(f"{plain} {error:.3g}" + ("" if unit == "ratio" else f" {unit}"))
+    return "lost: " + ", ".join(words) if lost else "nothing lost"
 
 
 def checked_text(field: str, text: str) -> str:

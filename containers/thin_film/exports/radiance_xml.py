@@ -16,6 +16,7 @@ import xml.etree.ElementTree as Xml
 from collections.abc import Mapping
 
 import numpy as np
+from numpy.typing import NDArray
 
 from containers.bsdf import Bsdf, direction_of
 from containers.thin_film.exports.exported import Exported, checked_text, lost_words, numbers
@@ -30,6 +31,8 @@ BLOCKS = ("Transmission Front", "Reflection Front", "Transmission Back", "Reflec
 FINE = 480
 """Azimuths; every border of every ring's patches falls between two of them."""
 _ORDER_IN, _ORDER_OUT = 8, 12
+_DENSE = 10_000
+NO_POWER = 1e-12
 
 
 def projected_sr() -> Real:
@@ -41,7 +44,7 @@ def projected_sr() -> Real:
 def klems(bsdf: Bsdf) -> tuple[Real, Real]:
     """Mean bsdf (1/sr) of reflection and transmission, each (145 outgoing, 145 incident), delta parts spread.
 
-    Each column holds the exact power: the mean over its patch of the albedo, weighted by projected solid angle.
+    Each column holds the mean over its patch of the albedo, weighted by projected solid angle (to 1e-5).
     """
     matrices = np.zeros((2, 145, 145))
     first = 0
@@ -70,8 +73,8 @@ def radiance_xml(
     Notes
     -----
     The format has no polarisation, no wavelength below "Visible", no delta part: specular light is spread over a
-    patch. `lost`: "delta_power", the largest power so spread; "delta_spread_sr", the projected solid angle of the
-    largest patch; "ring", the largest difference between a power at an angle and the mean of its ring.
+    patch. `lost`: "delta_power_ratio", the largest power so spread; "delta_spread_sr", the projected solid angle of
+    the largest patch; "ring_ratio", the largest difference between a power at an angle and the mean of its ring.
     """
     lost = dict(also_lost or {}) | _lost(front) | ({} if back is None else _worse(_lost(front), _lost(back)))
     root = Xml.Element("WindowElement", {"xmlns": NAMESPACE})
@@ -116,23 +119,38 @@ def read_radiance_xml(text: str) -> dict[str, Real]:
 
 def _ring_power(bsdf: Bsdf, ring: int) -> Real:
     """Power (reflected or transmitted, outgoing ring, azimuth) of light from one ring, azimuth 0 the mirror's."""
+    dense = _angles_of(ring, (np.arange(_DENSE) + 0.5) / _DENSE)
+    mirror, refracted = bsdf.deltas(dense)
+    want = float((bsdf.albedo(dense) - mirror - refracted).mean())
+    power = _spread_from_ring(bsdf, ring) if want > NO_POWER else np.zeros((2, len(PATCHES), FINE))
+    power *= want / max(float(power.sum()), NO_POWER)
+    power[0, ring, 0] += mirror.mean()
+    out = np.degrees(np.arcsin(np.minimum(bsdf.index_ratio * np.sin(dense), 1.0)))
+    power[1, :, 0] += np.bincount(_ring_of(out), refracted, len(PATCHES)) / _DENSE
+    return power
+
+
+def _spread_from_ring(bsdf: Bsdf, ring: int) -> Real:
+    """The same without the delta parts; InputError where the quadrature misses more than a tenth of a lobe."""
     x, weight = np.polynomial.legendre.leggauss(_ORDER_IN)
-    low, high = np.sin(np.radians(BOUNDS_DEG[ring : ring + 2])) ** 2
-    # uniform in sin^2 theta is uniform in projected solid angle
-    angles = np.arcsin(np.sqrt((low + high) / 2 + (high - low) / 2 * x))
-    mirror, refracted = bsdf.deltas(angles)
     power = np.zeros((2, len(PATCHES), FINE))
-    for angle, share, r, t in zip(angles, weight / 2, mirror, refracted, strict=True):
-        want = float(bsdf.albedo(angle) - r - t)
-        spread = _spread_power(bsdf, float(angle)) if want > 1e-12 else np.zeros_like(power)
+    for angle, share in zip(_angles_of(ring, (x + 1.0) / 2.0), weight / 2.0, strict=True):
+        want = float(bsdf.albedo(angle) - np.add(*bsdf.deltas(angle)))
+        if want <= NO_POWER:
+            continue
+        spread = _spread_power(bsdf, float(angle))
         total = float(spread.sum())
         if abs(total - want) > 0.1 * want + 1e-9:
-            raise InputError("bsdf", f"a lobe at {np.degrees(angle):.2f} deg", "lobes wider than half a degree")
-        power += share * spread * (want / total if total > 0.0 else 1.0)
-        power[0, ring, 0] += share * r
-        sine = min(bsdf.index_ratio * float(np.sin(angle)), 1.0)
-        power[1, _ring_of(float(np.degrees(np.arcsin(sine)))), 0] += share * t
+            mend = "widen the lobe, or use another format"
+            raise InputError("bsdf", f"a lobe at {np.degrees(angle):.2f} deg", "lobes wider than half a degree", mend)
+        power += share * spread * (want / total)
     return power
+
+
+def _angles_of(ring: int, share: Real) -> Real:
+    """Angles of incidence (rad) below which lie these shares of a ring's projected solid angle."""
+    low, high = np.sin(np.radians(BOUNDS_DEG[ring : ring + 2])) ** 2
+    return np.asarray(np.arcsin(np.sqrt(low + (high - low) * share)))
 
 
 def _spread_power(bsdf: Bsdf, theta_in: float) -> Real:
@@ -155,21 +173,21 @@ def _in_patches(power: Real) -> Real:
     return np.concatenate(found, axis=1)
 
 
-def _ring_of(theta_deg: float) -> int:
-    return min(int(np.searchsorted(BOUNDS_DEG, theta_deg, "right")) - 1, len(PATCHES) - 1)
+def _ring_of(theta_deg: Real) -> NDArray[np.intp]:
+    return np.minimum(np.searchsorted(BOUNDS_DEG, theta_deg, "right") - 1, len(PATCHES) - 1)
 
 
 def _lost(bsdf: Bsdf) -> dict[str, float]:
-    theta = np.linspace(0.0, np.pi / 2, 901)
+    theta = np.linspace(0.0, np.pi / 2, 9001)
     deltas = bsdf.deltas(theta)
     weight = np.sin(theta) * np.cos(theta) + 1e-12
-    ring = np.array([_ring_of(float(a)) for a in np.degrees(theta)])
-    lost = {"ring": 0.0}
+    ring = _ring_of(np.degrees(theta))
+    lost = {"ring_ratio": 0.0}
     for power in (bsdf.albedo(theta), *deltas):
         means = np.bincount(ring, weight * power) / np.bincount(ring, weight)
-        lost["ring"] = max(lost["ring"], float(np.abs(power - means[ring]).max()))
+        lost["ring_ratio"] = max(lost["ring_ratio"], float(np.abs(power - means[ring]).max()))
     if max(deltas.mirror.max(), deltas.refracted.max()) > 0.0:
-        lost["delta_power"] = float(np.add(*deltas).max())
+        lost["delta_power_ratio"] = float(np.add(*deltas).max())
         lost["delta_spread_sr"] = float(projected_sr().max())
     return lost
 

@@ -20,12 +20,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from containers.checked import reals
+from containers.thin_film.angles import Values, linear_nodes, powers_at, start_angles, worst_between
 from containers.thin_film.exports.exported import Exported, checked_text, lost_words, numbers
 from containers.thin_film.table import FilmTable, Real, Side
 from luxloop.errors import InputError
 
 HEADER = "OPTIS - Coated surface file v1.0"
 MAX_ROWS = 100_000
+TOLERANCE_RATIO = 1e-3
+"""Largest error of linear interpolation between two angles of a file."""
+MAX_VALUES = 200_000
+"""Wavelengths x angles of a file, four numbers each."""
 
 
 @dataclass(frozen=True)
@@ -43,20 +49,22 @@ class CoatedSurface:
 
 
 def coated_surface(table: FilmTable, side: Side, aoi_deg: ArrayLike | None = None) -> CoatedSurface:
-    """The film's powers seen from one side at the angles (angle,); by default at the table's own nodes."""
-    index = table.n_inside if side == "inside" else table.n_outside
-    if aoi_deg is None:
-        sine = table.u[: table.nodes(side)] / index[np.argmax(table.weight)]
-        aoi = np.degrees(np.arcsin(sine[sine <= 1.0]))
-    else:
-        aoi = np.asarray(aoi_deg, float)
-    if aoi.ndim != 1 or not aoi.size or np.any(np.diff(aoi) <= 0.0) or aoi[0] < 0.0 or aoi[-1] > 90.0:
-        raise InputError("aoi_deg", aoi, "increasing angles from 0 to 90 deg")
-    powers = table.powers(side)
-    u = index[:, None] * np.sin(np.radians(aoi))
-    R = np.stack([table.at(powers.R[w], u[w]) for w in range(index.size)])
-    T = np.stack([table.at(powers.T[w], u[w]) for w in range(index.size)])
-    return CoatedSurface(table.wavelength_nm, aoi, R, T)
+    """The film's powers seen from one side, computed at the angles (angle,), by default those of `own_angles_deg`."""
+    aoi = own_angles_deg(table, side) if aoi_deg is None else reals("aoi_deg", aoi_deg)
+    if aoi.ndim != 1 or not aoi.size or not np.all(np.diff(aoi) > 0.0) or not 0.0 <= aoi[0] <= aoi[-1] <= 90.0:
+        raise InputError("aoi_deg", aoi, "increasing angles from 0 to 90 deg", "leave them out: they are then chosen")
+    powers = powers_at(table, side, np.radians(aoi))
+    return CoatedSurface(table.wavelength_nm, aoi, powers.R, powers.T)
+
+
+def own_angles_deg(table: FilmTable, side: Side) -> Real:
+    """Angles (angle,) from 0 to 90 deg: R and T of all wavelengths, s and p, are linear between them.
+
+    To `TOLERANCE_RATIO`; less where more than `MAX_VALUES` values would be needed. With dispersion there are about 40
+    to each wavelength: each has a critical angle of its own.
+    """
+    most = max(100, MAX_VALUES // table.wavelength_nm.size)
+    return np.degrees(linear_nodes(_values(table, side), start_angles(table, side), TOLERANCE_RATIO, most))
 
 
 def speos(table: FilmTable, side: Side, aoi_deg: ArrayLike | None = None) -> Exported:
@@ -64,24 +72,34 @@ def speos(table: FilmTable, side: Side, aoi_deg: ArrayLike | None = None) -> Exp
 
     Parameters
     ----------
-    aoi_deg : (angle,), increasing, in the medium of `side`; by default the table's own nodes, which are dense about
-        the critical angle.
+    aoi_deg : (angle,), increasing, in the medium of `side`; by default those of `own_angles_deg`, dense about the
+        critical angles.
 
     Notes
     -----
-    `lost` in power ratios: "scatter", the largest S_R + S_T, which the format books as absorbed (100 - R - T);
-    "interpolation", the largest error in R, against the table, half way between two angles of the file
-    where R is interpolated linearly in angle.
+    `lost`: "scatter_ratio", the largest S_R + S_T, which the format books as absorbed (100 - R - T);
+    "interpolation_ratio", the largest error in R and T where they are interpolated linearly between the angles of the
+    file and held beyond its first and last, at any wavelength and polarisation of the file.
     """
     surface = coated_surface(table, side, aoi_deg)
-    powers = table.powers(side)
-    lost = {"scatter": float((powers.S_R + powers.S_T).max())}
-    if surface.aoi_deg.size > 1:
-        middle = coated_surface(table, side, (surface.aoi_deg[1:] + surface.aoi_deg[:-1]) / 2.0)
-        guess = (surface.R[..., 1:] + surface.R[..., :-1]) / 2.0
-        lost["interpolation"] = float(np.abs(middle.R - guess).max())
-    comment = f"luxloop {table.stack} from {side}; {lost_words(lost)}"
+    theta = np.radians(surface.aoi_deg)
+    scattering = powers_at(table, side, start_angles(table, side))
+    lost = {
+        "scatter_ratio": float((scattering.S_R + scattering.S_T).max()),
+        "interpolation_ratio": float(worst_between(_values(table, side), theta).max()),
+    }
+    comment = f"luxloop, light from {side}; {lost_words(lost)}; {table.stack}"
     return Exported(_text(surface, comment), lost)
+
+
+def _values(table: FilmTable, side: Side) -> Values:
+    """R and T of every wavelength and polarisation in rows, as a function of the angles."""
+
+    def values(theta: Real) -> Real:
+        powers = powers_at(table, side, theta)
+        return np.concatenate([power.reshape(-1, theta.size) for power in (powers.R, powers.T)])
+
+    return values
 
 
 def _text(surface: CoatedSurface, comment: str) -> str:
@@ -89,7 +107,7 @@ def _text(surface: CoatedSurface, comment: str) -> str:
     rows = [HEADER, " ".join(comment.split())[:1000], f"{surface.aoi_deg.size} {surface.wavelength_nm.size}"]
     rows.append("\t" + "".join(f"{nm:.10g}\t\t" for nm in surface.wavelength_nm))
     for k, aoi in enumerate(surface.aoi_deg):
-        for label, polarisation in ((f"{aoi:.10g}", 1), ("", 0)):
+        for label, polarisation in ((f"{aoi:.15g}", 1), ("", 0)):
             rows.append(f"{label}\t" + "".join(f"{x:.12g}\t" for x in percent[:, polarisation, k].ravel()))
     return "\n".join(rows) + "\n"
 
