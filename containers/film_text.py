@@ -22,8 +22,11 @@ def as_text(document: dict[str, Any], columns: int | None) -> str:
             )
             lines.append(_error(table))
     if "export" in document:
-        lost = ", ".join(f"{name} {size:.2g}" for name, size in document["export"]["lost"].items()) or "nothing"
-        lines.append(f"exported: {document['export']['file']}; lost (power ratio at most): {lost}")
+        from containers.thin_film.exports.exported import lost_words
+
+        lines.append(f"exported: {document['export']['file']}")
+        lines.append("    what its format cannot carry errs by up to (ratio of the power, where no unit follows)")
+        lines.append(f"    {lost_words(document['export']['lost'])}")
     if "plot" in document:
         lines.append(f"picture: {document['plot']}")
     return "\n".join(lines)

@@ -159,7 +159,8 @@ def check_file(option: str, file: Path | None, endings: tuple[str, ...]) -> None
     if file is None:
         return
     if file.suffix.lower() not in endings:
-        raise InputError(option, str(file), "a name that ends with " + " or ".join(endings))
+        mend = f"for example {file.stem or 'film'}{endings[0]}"
+        raise InputError(option, str(file), "a name that ends with " + " or ".join(endings), mend)
     try:
         _try_to_write(file)
     except (OSError, ValueError) as error:  # ValueError: a name that no file can have

@@ -69,4 +69,5 @@ class Stack(Words):
     inside_roughness_nm: Roughness = 0.0
 
     def __str__(self) -> str:
-        return " | ".join([str(self.inside), *map(str, self.layers), str(self.outside)])
+        rough = f" ~{self.inside_roughness_nm:g}" if self.inside_roughness_nm else ""
+        return " | ".join([f"{self.inside}{rough}", *map(str, self.layers), str(self.outside)])

@@ -179,3 +179,8 @@ def test_a_folder_where_nothing_can_be_made_is_refused() -> None:
     """What the rights say does not matter: it is tried."""
     with pytest.raises(InputError, match=r"^--plot: got '/proc/x\.png'"):
         check_file("--plot", Path("/proc/x.png"), (".png",))
+
+
+def test_the_roughness_of_the_bulk_is_told() -> None:
+    """What changes the numbers stands in the stack's name."""
+    assert str(parse_stack("Si ~3 | SiO2 100 ~2 | air")) == "Si ~3 | SiO2(100 nm ~2) | 1"
