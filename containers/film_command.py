@@ -14,7 +14,7 @@ import typer
 
 from containers.asking import answers, connected, fetched
 from containers.film_text import as_text
-from containers.typed import check_file, numbers, parse_stack
+from containers.typed import angles_deg, bandwidth_nm, check_file, dbr_pairs, parse_stack, wavelengths_nm
 from luxloop.errors import InputError
 from luxloop.model_file import find_model
 from luxloop.settings import load_settings, usable_cache
@@ -112,30 +112,27 @@ class _Question:
         wavelengths: str,
         side: Side | None,
         polarisation: Polarisation,
-        bandwidth_nm: float | None,
+        bandwidth: float | None,
     ) -> None:
         environment = model.environment
         self.model, self.model_name, self.against = model, model_name, against
         self.quantity, self.polarisation = quantity, polarisation
-        self.pairs = numbers("--pairs", pairs) if pairs is not None else []
+        self.pairs = dbr_pairs("--pairs", pairs) if pairs is not None else []
         self.stack = parse_stack(stack) if stack is not None else None
         self.side: Side = side or ("inside" if self.stack is None and quantity in ("R", "T") else "outside")
         from_chip = self.stack is None and self.side == "inside"  # beyond 24 deg all light is totally reflected there
         steps, line = "0:26:2" if from_chip else "0:85:5", f"{environment.peak_nm:g}"
         at_angle, at_wavelength = (steps, line) if against == "angle" else ("0", "400:500:10")
-        self.angles_deg = numbers("--angles", angles or at_angle)
-        self.wavelengths_nm = numbers("--wavelengths", wavelengths or at_wavelength)
+        self.angles_deg = angles_deg("--angles", angles or at_angle)
+        self.wavelengths_nm = wavelengths_nm("--wavelengths", wavelengths or at_wavelength)
         of_line = self.stack is None and against == "angle" and not wavelengths
-        self.bandwidth_nm = bandwidth_nm if bandwidth_nm is not None else environment.fwhm_nm if of_line else 0.0
-        _each(
-            "--pairs", self.pairs, lambda p: 0.0 <= p <= 100.0 and 2.0 * p % 1.0 == 0.0, "0 to 100 in halves, as 5.5"
-        )
-        _each("--angles", self.angles_deg, lambda angle: 0.0 <= angle < 90.0, "0 to below 90 deg, as 0:85:5")
-        _each("--wavelengths", self.wavelengths_nm, lambda nm: 0.0 < nm <= 1e6, "above 0 to 1e6 nm, as 400:500:10")
+        default_nm = environment.fwhm_nm if of_line else 0.0
+        self.bandwidth_nm = bandwidth_nm("--bandwidth", default_nm if bandwidth is None else bandwidth)
         fixed = self.wavelengths_nm if against == "angle" else self.angles_deg
         if len(fixed) != 1:
             option = "--wavelengths" if against == "angle" else "--angles"
-            raise InputError(option, fixed, f"one value when the table runs against {against}")
+            allowed, mend = f"one value when the table runs against {against}", "ask for each in turn"
+            raise InputError(option, fixed, allowed, mend)
 
     @property
     def axis(self) -> list[float]:
@@ -262,14 +259,6 @@ class _Question:
                 "from_side": self.side,
             },
         )
-
-
-def _each(option: str, values: Sequence[float], is_right: Callable[[float], bool], allowed: str) -> None:
-    """Raise InputError for the first value that cannot be used, in the words of the command line."""
-    wrong = [value for value in values if not is_right(value)]
-    if wrong:
-        others = f"; {len(wrong) - 1} more like it" * (len(wrong) > 1)
-        raise InputError(option, wrong[0], allowed, f"correct it{others}")
 
 
 def _view(plot: Path) -> Callable[[dict[str, Any], Path], None]:
