@@ -318,7 +318,7 @@ def test_a_controller_restart_loses_nothing(processes: Set) -> None:
     processes.add_worker()
     processes.ready(1)
     before = processes.client.status().epoch
-    thread, got = processes.later(task("nap", s=4.0), patience_s=3.0)
+    thread, got = processes.later(task("nap", s=6.0), patience_s=5.0)
     processes.running()
     stop(processes.controller)
     processes.controller = start(processes.settings, "-m", "luxloop", "serve", "controller", "--quiet")
@@ -362,7 +362,7 @@ def test_leaving_a_map_withdraws_what_is_under_way(processes: Set) -> None:
     for number, answer in processes.client.map(wanted, lanes=3):
         assert (number, isinstance(answer, Answer)) == (0, True)
         break
-    wait_for(lambda: processes.client.status().running == 0, "the tasks to be cancelled", 5.0)
+    wait_for(lambda: processes.client.status().running == 0, "the tasks to be cancelled", 15.0)
     assert processes.client.run(task("nothing", number=6)).result["number"] == 6
 
 
@@ -372,8 +372,8 @@ def test_a_computation_that_does_not_end_is_ended_with_its_process(processes: Se
     worker = processes.add_worker()
     processes.ready(1)
     thread, got = processes.later(task("nap deaf", s=60.0), limit_s=1.0, patience_s=1.0)
-    assert worker.wait(20) == 1
-    thread.join(20)
+    assert worker.wait(60) == 1
+    thread.join(60)
     (failure,) = got
     assert isinstance(failure, Failure)
     assert failure.code == "no_worker"
