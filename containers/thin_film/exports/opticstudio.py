@@ -230,7 +230,7 @@ class _Surface:
 def read_opticstudio(text: str) -> ScatterFile:
     """What such a text holds; InputError naming the line where it is not one, or has several sample rotations."""
     lines = [line for line in checked_text("bsdf file", text).splitlines() if line.strip() and line[0] != "#"]
-    heads = dict(line.split(None, 1) for line in lines[:11:1] if len(line.split(None, 1)) == 2)
+    heads = dict(line.split(None, 1) for line in lines[:11] if len(line.split(None, 1)) == 2)
     axes = []
     for number, name in enumerate(AXES):
         at = 4 + 2 * number
