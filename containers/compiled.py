@@ -34,9 +34,26 @@ def kernel(function: Function) -> Function:
     It runs without the interpreter lock, so that heartbeats go on; division by zero gives inf or nan as in numpy;
     no re-association of sums, so that results are the same on every machine.
     """
+    return _compiled(function)
+
+
+def borrowing_kernel(function: Function) -> Function:
+    """`kernel` for functions that make no arrays: they do not count references to the ones they are given.
+
+    Counting is atomic, and took a third of a ray tracer's time on one thread, more than half of it on two.
+    """
+    return _compiled(function, _nrt=False)
+
+
+def inlined_kernel(function: Function) -> Function:
+    """`borrowing_kernel` that becomes part of those who call it: handing on a scene's arrays costs more than it does."""
+    return _compiled(function, _nrt=False, forceinline=True)
+
+
+def _compiled(function: Function, **options: bool) -> Function:
     # numba reads this when it decorates; set as text because its settings are made at run time
     setattr(numba.config, "CACHE_DIR", _kernel_folder(Path(function.__code__.co_filename).parent))  # noqa: B010
-    return cast(Function, numba.njit(function, nogil=True, cache=True, error_model="numpy", fastmath=False))
+    return cast(Function, numba.njit(function, nogil=True, cache=True, error_model="numpy", fastmath=False, **options))
 
 
 @cache
@@ -45,7 +62,7 @@ def _kernel_folder(folder: Path) -> str:
     if chosen := os.environ.get("NUMBA_CACHE_DIR"):
         return chosen
     sources = [(path.name, path.read_bytes()) for path in sorted(folder.glob("*.py"))]
-    digest = hashlib.sha256(repr([(name, text) for name, text in sources if b"@kernel" in text]).encode())
+    digest = hashlib.sha256(repr([(name, text) for name, text in sources if b"@kernel" in text or b"_kernel\n" in text]).encode())
     chosen = os.environ.get("LUXLOOP_KERNELS")
     return str((Path(chosen) if chosen else cache_folder() / "kernels") / f"{folder.name}-{digest.hexdigest()[:12]}")
 

@@ -8,6 +8,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from containers.known_effects import refuse_unknown
 from containers.materials import list_materials
 from containers.stack import dbr_of
 from containers.thin_film import warm_up
@@ -17,8 +18,6 @@ from containers.thin_film.packing import pack, unpack
 from containers.thin_film.table import VERSION, FilmTable, film_table
 from luxloop.bus.frame import Array
 from luxloop.computation import Progress
-from luxloop.errors import RemoteError
-from luxloop.failure import Failure
 from luxloop.film import FILM_REQUEST, KIND, FilmMeasurementRequest, FilmTableRequest
 from luxloop.stack import Stack
 from luxloop.words import as_input_error, sha256_of
@@ -117,18 +116,7 @@ def averages(table: FilmTable) -> dict[str, Array]:
 
 def film_of(request: FilmTableRequest | FilmMeasurementRequest) -> Stack:
     """The stack that a request is about, its effects applied. Raises RemoteError for an effect not known here."""
-    if request.effects:
-        names = ", ".join(effect.name for effect in request.effects)
-        raise RemoteError(
-            Failure(
-                code="unknown_effect",
-                message=f"the thin-film worker knows no effect {names}",
-                field="effects",
-                value=names,
-                allowed="none in this release",
-                mend="take the effects out of the model file",
-            )
-        )
+    refuse_unknown(request.effects, "thin-film")
     if request.stack is not None:
         return request.stack
     if request.environment is None or request.dbr_pairs is None:  # refused when the request was read

@@ -1,0 +1,141 @@
+"""From an environment and a design to a `Scene`: every reading of the paper becomes a surface, a table, a length."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from containers.bsdf import Bsdf, Fresnel, GaussianLobe, Lambertian, Mirror, SpecularTable
+from containers.materials import material
+from containers.ray_tracing.packing import node_angles
+from containers.scene import Array, Cell, Chip, Emission, Face, Receiver, Scene
+from containers.thin_film.angles import powers_at
+from containers.thin_film.table import FilmTable, Side
+from luxloop.design import Design
+from luxloop.errors import InputError
+from luxloop.model import Environment, Surface
+
+Real = NDArray[np.float64]
+
+PER_CM_PER_UM = 1e-4
+AIR = 1.0
+
+
+def scene_of(environment: Environment, design: Design, film: FilmTable | None, layout: Cell | Array) -> Scene:
+    """The scene of a design.
+
+    Parameters
+    ----------
+    film : the table of the design's DBR, as PC2 computed it; None: a bare top face.
+    layout : `cell_of` or `array_of` the same design.
+
+    Raises
+    ------
+    InputError for a design that cannot be built, or a film that is not between the chip's material and air.
+    """
+    problem = design.feasibility(environment.distance_from, environment.spacing_is)
+    if problem is not None:
+        raise InputError("design", str(design), "a module that can be built", problem)
+    line = _Line(environment, film)
+    sides = Face(
+        tuple(Fresnel(n, AIR) for n in line.index), tuple(Fresnel(AIR, n) for n in line.index)
+    )
+    chip = Chip(
+        width_um=design.width_um,
+        thickness_um=design.thickness_um,
+        index=line.index,
+        top=sides if film is None else Face(line.film_from("inside"), line.film_from("outside")),
+        sides=sides,
+        bottom=environment.chip_bottom,
+        mirror=Mirror(environment.substrate.reflectance) if environment.chip_bottom == "mirror" else None,
+        absorption_per_um=environment.chip_absorption_per_cm * PER_CM_PER_UM,
+    )
+    lift_um = design.thickness_um if environment.distance_from == "chip_top" else 0.0
+    return Scene(
+        layout=layout,
+        chip=chip,
+        distance_um=design.distance_um + lift_um,
+        emission=emission_of(environment),
+        substrate=surface_of(environment.substrate),
+        receiver=Receiver(surface_of(environment.receiver)),
+        wavelength_weight=line.weight,
+    )
+
+
+def pitch_um(environment: Environment, design: Design) -> float:
+    """From chip centre to chip centre."""
+    return design.spacing_um + (design.width_um if environment.spacing_is == "gap" else 0.0)
+
+
+def cell_of(environment: Environment, design: Design) -> Cell:
+    """The endless array of a design."""
+    return Cell(pitch_um(environment, design))
+
+
+def array_of(
+    environment: Environment, design: Design, rows: int, columns: int, half_um: float | None = None
+) -> Array:
+    """A finite array of a design with open edges, half a pitch beyond the outer chips unless `half_um` is given."""
+    return Array.regular(rows, columns, pitch_um(environment, design), half_um)
+
+
+def surface_of(surface: Surface) -> Bsdf:
+    """The surface that an environment names."""
+    if surface.scatter == "lambertian":
+        return Lambertian(surface.reflectance)
+    return GaussianLobe(surface.reflectance, np.radians(surface.sigma_deg or 0.0))
+
+
+def emission_of(environment: Environment) -> Emission:
+    """Isotropic, or dipoles in the plane of the wells (3 / 16 pi (1 + cos^2), c-plane); volume or a thin layer."""
+    depth = environment.active_layer_depth
+    if environment.emission == "isotropic":
+        return Emission(layer_depth=depth)
+    cosine = np.linspace(-1.0, 1.0, 401)
+    return Emission(layer_depth=depth, cosine=cosine, intensity=1.0 + cosine**2)
+
+
+class _Line:
+    """The wavelengths of a scene, and what its chip and film are at each of them."""
+
+    def __init__(self, environment: Environment, film: FilmTable | None) -> None:
+        self._film = film
+        fixed = environment.indices == "fixed"
+        at = np.array([environment.peak_nm])
+        n = np.array([environment.n_gan]) if fixed else material("GaN").index(at).real
+        self.index, self.weight = n, np.ones(1)
+        self._sampled = environment.spectrum == "sampled" and film is not None
+        if film is None:
+            return
+        peak = int(np.argmax(film.weight))
+        if abs(float(film.n_inside[peak]) - float(n[0])) > 1e-9 or abs(float(film.n_outside[peak]) - AIR) > 1e-9:
+            between = (float(film.n_inside[peak]), float(film.n_outside[peak]))
+            raise InputError("film", between, f"a film between n = {float(n[0]):g} and air", "ask PC2 for the DBR")
+        if self._sampled:
+            self.index, self.weight = film.n_inside, film.weight / film.weight.sum()
+
+    def film_from(self, side: Side) -> tuple[Bsdf, ...]:
+        """The film from one side, mean of s and p: of the whole line, or at each wavelength.
+
+        Powers are computed at the very nodes that the kernels interpolate between. Refracted light leaves by the
+        chip's index; what other wavelengths would send through beyond the critical angle is reflected.
+        """
+        film = self._film
+        assert film is not None
+        if not self._sampled:
+            theta = np.sort(node_angles(float(self.index[0]), side == "inside"))
+            powers = powers_at(film, side, theta)
+            R, T = (np.tensordot(film.weight, power.mean(axis=1), axes=1) for power in (powers.R, powers.T))
+            return (_specular(theta, R, T, float(self.index[0]), side),)
+        faces = []
+        for wave, n in enumerate(self.index):
+            theta = np.sort(node_angles(float(n), side == "inside"))
+            powers = powers_at(film, side, theta)
+            faces.append(_specular(theta, powers.R[wave].mean(axis=0), powers.T[wave].mean(axis=0), float(n), side))
+        return tuple(faces)
+
+
+def _specular(theta: Real, R: Real, T: Real, n: float, side: Side) -> SpecularTable:
+    distinct = np.concatenate([[True], np.diff(theta) > 0.0])
+    ratio = n / AIR if side == "inside" else AIR / n
+    return SpecularTable(theta[distinct], np.clip(R[distinct], 0.0, 1.0), np.clip(T[distinct], 0.0, 1.0), ratio)

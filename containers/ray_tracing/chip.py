@@ -1,0 +1,342 @@
+"""The way of a ray inside a chip, until it leaves or ends; as kernels.
+
+    z = T   ┌───────────────┐  top: R, T of the film
+            │               │
+            │   index n     │  sides: clear faces
+    z = 0   └───────────────┘  bottom: substrate, mirror, or an air gap above the substrate
+           -a               a
+
+Walls that reflect specularly are mirrors of the lattice of images of the chip: between two bottom hits a ray is one
+straight line through that lattice, keeping |dx|, |dy|, |dz|. Only one pair of faces can lie within the escape cone,
+for n^2 >= 2; the number of wall hits until the ray leaves through it is a geometric random number. So a flight from
+bottom to bottom is one step, whatever number of walls it crosses. x and y stay unfolded until the ray leaves.
+"""
+
+from __future__ import annotations
+
+from math import exp, floor, inf, log, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from containers.compiled import borrowing_kernel, inlined_kernel
+from containers.ray_tracing.arrays import (
+    ABSORPTION,
+    AFTER_RECEIVER,
+    AFTER_TOP,
+    AIR_GAP,
+    BOTTOM,
+    BOTTOM_HITS,
+    CHIP_END,
+    CLOSED,
+    DBR_END,
+    DX,
+    DY,
+    DZ,
+    EVENT,
+    FROM_SIDES,
+    HALF_WIDTH,
+    INDEX,
+    PATH,
+    ROULETTE_END,
+    SIDE_IN,
+    SIDE_OUT,
+    SUBSTRATE,
+    SUBSTRATE_END,
+    THICKNESS,
+    THROUGH_TOP,
+    TOP_COSINES,
+    TOP_HITS,
+    TOP_IN,
+    TOP_LOSSY,
+    TRACE,
+    TRAPPED_END,
+    UNFOLD,
+    WEIGHT,
+    SceneArrays,
+    X,
+    Y,
+    Z,
+)
+from containers.ray_tracing.philox import BOTTOM as BOTTOM_KIND
+from containers.ray_tracing.philox import FACE, ROULETTE, Stream, draw, follow_up
+from containers.ray_tracing.surfaces import (
+    ABSORBED,
+    REFLECTED,
+    TRANSMITTED,
+    Surfaces,
+    lobe,
+    node_of,
+    plain_lobe,
+    scatter,
+    share,
+)
+
+Real = NDArray[np.float64]
+
+FAINT = 0.05
+"""Share of the weight at which a ray came in below which roulette is played."""
+
+ENDED, OUT = range(2)
+"""What became of a walk."""
+
+
+@borrowing_kernel
+def walk_chip(scene: SceneArrays, wave: int, ray: Real, stream: Stream, ledger: Real, trace: Real) -> int:
+    """Follow a ray, position relative to the chip's centre, until it is OUT (position at the face, direction in air)
+    or ENDED (booked in `ledger`). Notes in `trace` what a change of the chip can be reckoned from."""
+    for i in range(TRACE):
+        trace[i] = 0.0
+    if scene.flags[UNFOLD]:
+        return _walk_unfolded(scene, wave, ray, stream, ledger, trace)
+    return _walk_plain(scene, wave, ray, stream, ledger, trace)
+
+
+@borrowing_kernel
+def _walk_unfolded(scene: SceneArrays, wave: int, ray: Real, stream: Stream, ledger: Real, trace: Real) -> int:
+    half, top, alpha = scene.numbers[HALF_WIDTH], scene.numbers[THICKNESS], scene.numbers[ABSORPTION]
+    surfaces, n = scene.surfaces, scene.numbers[INDEX + wave]
+    n2 = n * n
+    leaks = 1.0 - 1.0 / n2
+    lossy, air_gap = scene.flags[TOP_LOSSY] == 1, scene.flags[AIR_GAP] == 1
+    sigma, reflectance = plain_lobe(surfaces, BOTTOM)
+    if air_gap:
+        sigma = 0.0
+    x, y, z, dx, dy, dz = ray[X], ray[Y], ray[Z], ray[DX], ray[DY], ray[DZ]
+    weight, topped = ray[WEIGHT], False
+    faint = FAINT * weight
+    while True:
+        through_x, through_y = dx * dx > leaks, dy * dy > leaks
+        steep = lossy or dz * dz > leaks
+        meets_top = dz > 0.0 and steep
+        if scene.flags[CLOSED] and not (through_x or through_y or steep):
+            ledger[TRAPPED_END if alpha == 0.0 else CHIP_END] += weight
+            return ENDED
+        leaves_at, b = inf, 0.0
+        if through_x or through_y or meets_top:
+            a, b, _, _ = draw(stream, FACE, 0)
+            follow_up(stream, FACE)
+            if through_x:
+                leaves_at = _leaves_at(surfaces, wave, n2, x, dx, half, a)
+            elif through_y:
+                leaves_at = _leaves_at(surfaces, wave, n2, y, dy, half, a)
+        bottom_at = -z / dz if dz < 0.0 else inf
+        if dz > 0.0:
+            top_at = (top - z) / dz
+            bottom_at = top_at + top / dz
+            if abs(leaves_at) >= top_at:
+                if meets_top:
+                    at, above = node_of(surfaces, TOP_IN, wave, n2 * (1.0 - dz * dz), n2)
+                    R = share(surfaces, TOP_IN, at, above, 0)
+                    if b >= R:
+                        if b < share(surfaces, TOP_IN, at, above, 1):
+                            trace[PATH] += top_at
+                            ray[WEIGHT] = _dim(weight, alpha * top_at, ledger)
+                            x, y = x + dx * top_at, y + dy * top_at
+                            _leave(ray, x, y, top, dx, dy, dz, half, n, 2, topped)
+                            return OUT
+                        ledger[DBR_END] += weight
+                        return ENDED
+                    hits = int(trace[TOP_HITS])
+                    if hits < TRACE - TOP_COSINES:
+                        trace[TOP_COSINES + hits] = dz
+                    trace[TOP_HITS] += 1.0
+                topped = True
+        weight = _dim(weight, alpha * min(abs(leaves_at), bottom_at), ledger)
+        if abs(leaves_at) <= bottom_at:
+            if leaves_at < 0.0:
+                ledger[DBR_END] += weight
+                return ENDED
+            trace[PATH] += leaves_at
+            ray[WEIGHT] = weight
+            height = z + dz * leaves_at
+            going = dz
+            if height > top:
+                height, going = 2.0 * top - height, -dz
+            x, y = x + dx * leaves_at, y + dy * leaves_at
+            _leave(ray, x, y, height, dx, dy, going, half, n, 0 if through_x else 1, topped)
+            return OUT
+        trace[PATH] += bottom_at
+        trace[BOTTOM_HITS] += 1.0
+        x, y, z = x + dx * bottom_at, y + dy * bottom_at, 0.0
+        dz = abs(dz)
+        if sigma > 0.0:  # what nearly all bottoms are, without the way through `scatter`
+            a, b, c, _ = draw(stream, BOTTOM_KIND, 0)
+            what = REFLECTED if a < reflectance else ABSORBED
+            dx, dy, dz = lobe(sigma, dx, dy, dz, b, c, stream, BOTTOM_KIND)
+            follow_up(stream, BOTTOM_KIND)
+        else:
+            what, dx, dy, dz = _bottom(surfaces, air_gap, wave, n, dx, dy, -dz, stream)
+        if what != REFLECTED:
+            ledger[SUBSTRATE_END] += weight
+            return ENDED
+        if weight < faint:
+            weight = _roulette(weight, faint, stream, ledger)
+            if weight == 0.0:
+                return ENDED
+
+
+@inlined_kernel
+def _dim(weight: float, depth: float, ledger: Real) -> float:
+    """The weight after an optical depth in the chip's material; what it takes is booked."""
+    if depth == 0.0:
+        return weight
+    left = weight * exp(-depth)
+    ledger[CHIP_END] += weight - left
+    return left
+
+
+@inlined_kernel
+def _roulette(weight: float, faint: float, stream: Stream, ledger: Real) -> float:
+    """A faint ray ends, or goes on with twice the weight of a faint one."""
+    u, _, _, _ = draw(stream, ROULETTE, 0)
+    follow_up(stream, ROULETTE)
+    kept = 2.0 * faint if u * 2.0 * faint < weight else 0.0
+    ledger[ROULETTE_END] += kept - weight
+    return kept
+
+
+@inlined_kernel
+def _leaves_at(surfaces: Surfaces, wave: int, n2: float, x: float, dx: float, half: float, u: float) -> float:
+    """Path to the wall hit at which a ray leaves through this pair of sides; negative: at which it is absorbed."""
+    at, above = node_of(surfaces, SIDE_IN, wave, n2 * (1.0 - dx * dx), n2)
+    R = share(surfaces, SIDE_IN, at, above, 0)
+    until = share(surfaces, SIDE_IN, at, above, 1)
+    if R >= 1.0:
+        return inf
+    hits = floor(log(u) / log(R)) if R > 0.0 else 0.0
+    tile = floor((x + half) / (2.0 * half))
+    first = (2.0 * half * (tile + 1.0) - half - x) / dx if dx > 0.0 else (2.0 * half * tile - half - x) / dx
+    path = first + hits * 2.0 * half / abs(dx)
+    if until < 1.0:  # the last hit takes the ray: u is uniform between R^(hits + 1) and R^hits
+        left = (u / R**hits - R) / (1.0 - R)
+        if left > (until - R) / (1.0 - R):
+            return -path
+    return path
+
+
+@inlined_kernel
+def _leave(
+    ray: Real,
+    x: float,
+    y: float,
+    z: float,
+    dx: float,
+    dy: float,
+    dz: float,
+    half: float,
+    n: float,
+    axis: int,
+    topped: bool,
+) -> None:
+    """Fold the ray back into the chip and refract it into air at a face across `axis` (2: the top)."""
+    along_x, along_y = (x - half if dx > 0.0 else x + half) if axis == 0 else x, y
+    if axis == 1:
+        along_y = y - half if dy > 0.0 else y + half
+    tile_x, tile_y = floor(along_x / (2.0 * half) + 0.5), floor(along_y / (2.0 * half) + 0.5)
+    x, y = x - 2.0 * half * tile_x, y - 2.0 * half * tile_y
+    if int(tile_x) & 1:
+        x, dx = -x, -dx
+    if int(tile_y) & 1:
+        y, dy = -y, -dy
+    dx, dy, dz = n * dx, n * dy, n * dz
+    if axis == 0:
+        x = half if dx > 0.0 else -half
+        dx = sqrt(max(0.0, 1.0 - dy * dy - dz * dz)) * (1.0 if dx > 0.0 else -1.0)
+    elif axis == 1:
+        y = half if dy > 0.0 else -half
+        dy = sqrt(max(0.0, 1.0 - dx * dx - dz * dz)) * (1.0 if dy > 0.0 else -1.0)
+    else:
+        dz = sqrt(max(0.0, 1.0 - dx * dx - dy * dy))
+    _put(ray, x, y, z, dx, dy, dz, axis, topped)
+
+
+@inlined_kernel
+def _put(
+    ray: Real, x: float, y: float, z: float, dx: float, dy: float, dz: float, axis: int, topped: bool
+) -> None:
+    ray[X], ray[Y], ray[Z], ray[DX], ray[DY], ray[DZ] = x, y, z, dx, dy, dz
+    if ray[EVENT] != AFTER_RECEIVER:
+        ray[EVENT] = AFTER_TOP if topped else THROUGH_TOP if axis == 2 else FROM_SIDES
+
+
+@borrowing_kernel
+def _bottom(
+    surfaces: Surfaces, air_gap: bool, wave: int, n: float, dx: float, dy: float, dz: float, stream: Stream
+) -> tuple[int, float, float, float]:
+    """ABSORBED or REFLECTED, and the direction upwards in the chip, of a ray that meets the bottom."""
+    if not air_gap:
+        what, dx, dy, dz = scatter(surfaces, BOTTOM, wave, 1.0, 1.0, dx, dy, dz, stream, BOTTOM_KIND)
+        follow_up(stream, BOTTOM_KIND)
+        return what, dx, dy, dz
+    what, dx, dy, dz = scatter(surfaces, SIDE_IN, wave, n, 1.0, dx, dy, dz, stream, BOTTOM_KIND)
+    follow_up(stream, BOTTOM_KIND)
+    while what == TRANSMITTED:  # in the gap, between the substrate and the chip's bottom
+        what, dx, dy, dz = scatter(surfaces, SUBSTRATE, wave, 1.0, 1.0, dx, dy, dz, stream, BOTTOM_KIND)
+        follow_up(stream, BOTTOM_KIND)
+        if what != REFLECTED:
+            return ABSORBED, 0.0, 0.0, 0.0
+        what, dx, dy, dz = scatter(surfaces, SIDE_OUT, wave, 1.0, n, dx, dy, -dz, stream, BOTTOM_KIND)
+        follow_up(stream, BOTTOM_KIND)
+        if what == TRANSMITTED:
+            return REFLECTED, dx, dy, -dz
+        if what == REFLECTED:
+            what, dz = TRANSMITTED, -dz
+    return what, dx, dy, dz
+
+
+@borrowing_kernel
+def _walk_plain(scene: SceneArrays, wave: int, ray: Real, stream: Stream, ledger: Real, trace: Real) -> int:
+    """Face by face, for sides that scatter or absorb beyond the critical angle."""
+    half, top, alpha = scene.numbers[HALF_WIDTH], scene.numbers[THICKNESS], scene.numbers[ABSORPTION]
+    n, weight, topped = scene.numbers[INDEX + wave], ray[WEIGHT], False
+    x, y, z, dx, dy, dz = ray[X], ray[Y], ray[Z], ray[DX], ray[DY], ray[DZ]
+    faint = FAINT * weight
+    while True:
+        to_x = ((half if dx > 0.0 else -half) - x) / dx if dx != 0.0 else inf
+        to_y = ((half if dy > 0.0 else -half) - y) / dy if dy != 0.0 else inf
+        to_z = ((top if dz > 0.0 else 0.0) - z) / dz if dz != 0.0 else inf
+        path = min(to_x, to_y, to_z)
+        weight = _dim(weight, alpha * path, ledger)
+        trace[PATH] += path
+        if weight < faint:
+            weight = _roulette(weight, faint, stream, ledger)
+            if weight == 0.0:
+                return ENDED
+        x, y, z = x + dx * path, y + dy * path, z + dz * path
+        if path == to_z and dz < 0.0:
+            z = 0.0
+            trace[BOTTOM_HITS] += 1.0
+            what, dx, dy, dz = _bottom(scene.surfaces, scene.flags[AIR_GAP] == 1, wave, n, dx, dy, dz, stream)
+            if what != REFLECTED:
+                ledger[SUBSTRATE_END] += weight
+                return ENDED
+            continue
+        # the face in surface space: the ray comes along -z of it
+        if path == to_z:
+            axis, sign, z = 2, 1.0, top
+            what, p, q, r = scatter(scene.surfaces, TOP_IN, wave, n, 1.0, dx, dy, -dz, stream, FACE)
+        elif path == to_x:
+            axis, sign = 0, 1.0 if dx > 0.0 else -1.0
+            x = sign * half
+            what, p, q, r = scatter(scene.surfaces, SIDE_IN, wave, n, 1.0, dy, dz, -dx * sign, stream, FACE)
+        else:
+            axis, sign = 1, 1.0 if dy > 0.0 else -1.0
+            y = sign * half
+            what, p, q, r = scatter(scene.surfaces, SIDE_IN, wave, n, 1.0, dz, dx, -dy * sign, stream, FACE)
+        follow_up(stream, FACE)
+        if what == ABSORBED:
+            ledger[DBR_END] += weight
+            return ENDED
+        if axis == 2:
+            dx, dy, dz = p, q, -r
+        elif axis == 0:
+            dx, dy, dz = -r * sign, p, q
+        else:
+            dx, dy, dz = q, -r * sign, p
+        if what == TRANSMITTED:
+            ray[WEIGHT] = weight
+            _put(ray, x, y, z, dx, dy, dz, axis, topped)
+            return OUT
+        if axis == 2:
+            topped = True

@@ -1,0 +1,178 @@
+"""The light that leaves a chip, stored: it depends on the chip, its bottom and its emission, not on D or S.
+
+A set of exits is a function of (chip, exit seed, first block, count) alone. Its groups are independent and alike, so
+the spread between the groups of whatever they are landed on holds the exits' own sampling error. What ends inside the
+chip is booked by block, so a set serves any smaller count too, with the same result as a set of that count; and a
+count of any size is made of batches (`exit_source`).
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from containers.bsdf import Lambertian
+from containers.ray_tracing.arrays import ENDS, TRACE
+from containers.ray_tracing.kernel import EXIT, exits_of_group, land_group, scratch
+from containers.ray_tracing.monte_carlo import BLOCK, usable_threads
+from containers.ray_tracing.packing import emission_arrays, scene_arrays
+from containers.ray_tracing.sobol import DIRECTIONS
+from containers.ray_tracing.tally import GROUPS, Tally
+from containers.scene import Cell, Receiver, Scene
+from luxloop.errors import InputError
+
+Real = NDArray[np.float64]
+Single = NDArray[np.float32]
+
+VERSION = 1
+"""Of the walk inside the chip: another number makes other keys."""
+LANDING = 0x9E3779B97F4A7C15
+"""Landing draws with the seed turned by this, so that it shares no number with the walk inside the chip."""
+
+
+@dataclass(frozen=True)
+class Exits:
+    """A set of exits; group by group, one after the other in `rays`."""
+
+    rays: Single
+    """(exit, EXIT)"""
+    notes: Single
+    """(exit, TRACE), what a change of the chip is reckoned from (`reweighting`); (0, TRACE): not kept."""
+    ends: NDArray[np.int64]
+    """(group, block + 1), number in `rays` of the exit after each block of histories; the first is where it begins."""
+    ledger: Real
+    """(group, block, end), what ended in the chip in each block, and what was emitted."""
+    first_block: int = 0
+    """Of each group's histories."""
+    weights: Single | None = None
+    """(exit,), factors on the exits' weights where the chip is another than theirs (`reweighting`)."""
+
+    @property
+    def histories(self) -> int:
+        """Of each group."""
+        return BLOCK * self.ledger.shape[1]
+
+    @property
+    def nbytes(self) -> int:
+        """In memory."""
+        return self.rays.nbytes + self.notes.nbytes + self.ends.nbytes + self.ledger.nbytes
+
+
+def chip_scene(scene: Scene) -> Scene:
+    """The same chip, alone: what the walk inside it depends on, and nothing else."""
+    layout = Cell(scene.chip.width_um * 4.0)
+    receiver = Receiver(Lambertian(0.0))
+    alone = replace(scene, layout=layout, distance_um=scene.chip.thickness_um * 2.0, receiver=receiver, tilt_per_um=(0.0, 0.0))
+    return alone
+
+
+def chip_key(scene: Scene) -> str:
+    """SHA-256 of all that decides the exits of a scene's chip."""
+    alone = chip_scene(scene)
+    arrays = scene_arrays(alone)
+    parts = (arrays.numbers, arrays.flags, arrays.surfaces.layout, arrays.surfaces.tables, *emission_arrays(alone))
+    digest = hashlib.sha256(f"exits {VERSION}".encode())
+    for part in parts:
+        digest.update(str((part.dtype.str, part.shape)).encode() + np.ascontiguousarray(part).tobytes())
+    return digest.hexdigest()
+
+
+def make_exits(
+    scene: Scene,
+    seed: int,
+    histories: int,
+    *,
+    first_block: int = 0,
+    groups: int = GROUPS,
+    notes: bool = False,
+    threads: int | None = None,
+    report: Callable[[float], None] | None = None,
+) -> Exits:
+    """Exits of `histories` (a multiple of `BLOCK`) of each group, from block `first_block` on."""
+    alone = chip_scene(scene)
+    arrays, emission = scene_arrays(alone), emission_arrays(alone)
+    blocks, done = histories // BLOCK, [0]
+
+    def of_group(group: int) -> tuple[list[Single], list[Single], Real]:
+        rays, noted = np.zeros((BLOCK, EXIT), np.float32), np.zeros((BLOCK if notes else 0, TRACE if notes else 0), np.float32)
+        ledger, kept, kept_notes = np.zeros((blocks, len(ENDS))), [], []
+        for block in range(blocks):
+            found = exits_of_group(
+                arrays, emission, np.uint64(seed), group, groups, (first_block + block) * BLOCK, BLOCK, True, DIRECTIONS, rays, noted,
+                ledger[block], scratch(),
+            )  # fmt: skip
+            kept.append(rays[:found].copy())
+            kept_notes.append(noted[:found].copy())
+            done[0] += 1
+            if report is not None:
+                report(done[0] / (blocks * groups))
+        return kept, kept_notes, ledger
+
+    with ThreadPoolExecutor(threads or usable_threads()) as pool:
+        of_groups = list(pool.map(of_group, range(groups)))
+    counts = np.array([[len(rays) for rays in kept] for kept, _, _ in of_groups], np.int64)
+    last = np.cumsum(counts.ravel()).reshape(counts.shape)
+    together = np.concatenate([rays for kept, _, _ in of_groups for rays in kept])
+    together.flags.writeable = False  # as those that come out of a file: kernels are compiled once
+    return Exits(
+        rays=together,
+        notes=np.concatenate([noted for _, kept, _ in of_groups for noted in kept]) if notes else np.zeros((0, TRACE), np.float32),
+        ends=np.concatenate([(last[:, :1] - counts[:, :1]), last], axis=1),
+        ledger=np.stack([ledger for _, _, ledger in of_groups]),
+        first_block=first_block,
+    )
+
+
+class Landing:
+    """Stored exits of a scene's chip, landed in the scene; `tally` holds what they left, like `MonteCarlo`'s."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        exits: Exits | Callable[[int], Exits],
+        seed: int,
+        *,
+        groups: int = GROUPS,
+        survival: float = 0.25,
+        threads: int | None = None,
+        direction_bins: tuple[int, int] = (0, 0),
+    ) -> None:
+        self.scene, self.seed = scene, seed
+        self._exits_at = exits if callable(exits) else lambda _: exits
+        self.tally = Tally.empty(scene, groups if callable(exits) else exits.ends.shape[0], direction_bins)
+        self._arrays, self._emission = scene_arrays(scene), emission_arrays(scene)
+        self._survival = survival
+        self._threads = threads or usable_threads()
+
+    def run_to(self, histories: int, report: Callable[[float], None] | None = None) -> Tally:
+        """Land the exits of the first `histories` (a multiple of `BLOCK`) of each group."""
+        begin = self.tally.histories
+        with ThreadPoolExecutor(self._threads) as pool:
+            while self.tally.histories < histories:
+                if report is not None:
+                    report((self.tally.histories - begin) / (histories - begin))
+                exits = self._exits_at(self.tally.histories // BLOCK)
+                here = self.tally.histories // BLOCK - exits.first_block
+                blocks = range(here, min(exits.ledger.shape[1], here + (histories - self.tally.histories) // BLOCK))
+                if not blocks:
+                    raise InputError("exits", exits.histories, f"{histories} histories of each group", "store more")
+                list(pool.map(lambda group: self._land(group, exits, blocks), range(self.tally.groups)))
+                self.tally.histories += BLOCK * len(blocks)
+        return self.tally
+
+    def _land(self, group: int, exits: Exits, blocks: range) -> None:
+        ends = exits.ends[group]
+        own = slice(ends[blocks.start], ends[blocks.stop])
+        begin = exits.first_block * BLOCK + int(ends[blocks.start] - ends[0])
+        weights = exits.weights if exits.weights is None else exits.weights[own]
+        land_group(
+            self._arrays, self._emission, np.uint64(self.seed ^ LANDING), group, self.tally.groups, begin,
+            exits.rays[own], np.zeros(0, np.float32) if weights is None else weights, self._survival,
+            self.tally.sinks(group), scratch(),
+        )  # fmt: skip
+        self.tally.ledger[group] += exits.ledger[group, blocks.start : blocks.stop].sum(axis=0)

@@ -1,0 +1,339 @@
+"""Whole histories: born in a chip, followed until they end; as kernels. One call works on one group of histories.
+
+The number of a history is (its place in the group) x groups + group, and all its random numbers follow from it, so a
+run is the same however it is cut into calls and whoever computes which group.
+"""
+
+from __future__ import annotations
+
+from math import pi, sqrt
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from containers.compiled import borrowing_kernel, inlined_kernel
+from containers.ray_tracing.arrays import (
+    ABSORPTION,
+    AFTER_RECEIVER,
+    BOTTOM,
+    CHIP_END,
+    CHIP_X,
+    CHIP_Y,
+    CLOSED,
+    CONES,
+    DISTANCE,
+    DX,
+    DY,
+    DZ,
+    EMITTED,
+    EVENT,
+    FROM_TOP,
+    HALF_WIDTH,
+    INDEX,
+    RAY,
+    SUBSTRATE_END,
+    THICKNESS,
+    THROUGH_TOP,
+    TRACE,
+    TRAPPED_END,
+    WEIGHT,
+    EmissionArrays,
+    SceneArrays,
+    Sinks,
+    X,
+    Y,
+    Z,
+)
+from containers.ray_tracing.chip import OUT, walk_chip
+from containers.ray_tracing.module import INTO_CHIP, clear_way, note_direction, receive, walk_module
+from containers.ray_tracing.philox import CHIP, EMISSION, STREAM_WORDS, Stream, draw, philox4x32, start
+from containers.ray_tracing.surfaces import albedo
+from containers.ray_tracing.sobol import DIMENSIONS, point
+
+Real = NDArray[np.float64]
+EVENT_OF_EXIT, WAVE_OF_EXIT, WEIGHT_OF_EXIT, EXIT = 6, 7, 8, 9
+"""A stored exit: position relative to the chip (um), direction, optical event, number of the wavelength, weight."""
+_SOBOL_KEY = np.uint64(0xFFFFFFFF)
+_LOW = np.uint64(0xFFFFFFFF)
+
+
+class Scratch(NamedTuple):
+    """What a thread writes on while it traces; kernels make no arrays."""
+
+    stream: Stream
+    ray: Real
+    trace: Real
+    keys: NDArray[np.uint64]
+    uniforms: Real
+
+
+def scratch() -> Scratch:
+    """A thread's own."""
+    return Scratch(
+        np.zeros(STREAM_WORDS, np.uint64),
+        np.zeros(RAY),
+        np.zeros(TRACE),
+        np.zeros(DIMENSIONS, np.uint64),
+        np.zeros(DIMENSIONS),
+    )
+
+
+@borrowing_kernel
+def trace_group(
+    scene: SceneArrays,
+    emission: EmissionArrays,
+    seed: np.uint64,
+    group: int,
+    groups: int,
+    first: int,
+    count: int,
+    sobol: bool,
+    survival: float,
+    directions: NDArray[np.uint64],
+    sinks: Sinks,
+    scratch: Scratch,
+) -> None:
+    """Trace histories `first` to `first + count` of a group into its sinks."""
+    stream, ray, trace, keys, uniforms = scratch
+    scramble_keys(seed, group, keys)
+    for place in range(first, first + count):
+        start(stream, seed, np.uint64(place) * np.uint64(groups) + np.uint64(group))
+        wave = emit(scene, emission, stream, place, sobol, directions, keys, uniforms, ray, sinks.ledger)
+        if not scene.flags[FROM_TOP]:
+            if walk_chip(scene, wave, ray, stream, sinks.ledger, trace) != OUT:
+                continue
+        leave_chip(ray, sinks)
+        follow(scene, wave, ray, stream, sinks, survival, trace)
+
+
+@borrowing_kernel
+def exits_of_group(
+    scene: SceneArrays,
+    emission: EmissionArrays,
+    seed: np.uint64,
+    group: int,
+    groups: int,
+    first: int,
+    count: int,
+    sobol: bool,
+    directions: NDArray[np.uint64],
+    rays: NDArray[np.float32],
+    notes: NDArray[np.float32],
+    ledger: Real,
+    scratch: Scratch,
+) -> int:
+    """Follow histories of a group inside their chip only; the exits, one after the other, into `rays` (n, EXIT) and,
+    where there is room, what `walk_chip` notes into `notes` (n, TRACE). Returns how many there are."""
+    stream, ray, trace, keys, uniforms = scratch
+    scramble_keys(seed, group, keys)
+    found = 0
+    for place in range(first, first + count):
+        start(stream, seed, np.uint64(place) * np.uint64(groups) + np.uint64(group))
+        wave = emit(scene, emission, stream, place, sobol, directions, keys, uniforms, ray, ledger)
+        if not scene.flags[FROM_TOP] and walk_chip(scene, wave, ray, stream, ledger, trace) != OUT:
+            continue
+        for i in range(EVENT_OF_EXIT):
+            rays[found, i] = ray[i]
+        rays[found, EVENT_OF_EXIT], rays[found, WAVE_OF_EXIT] = ray[EVENT], wave
+        rays[found, WEIGHT_OF_EXIT] = ray[WEIGHT]
+        for i in range(notes.shape[1]):
+            notes[found, i] = trace[i]
+        found += 1
+    return found
+
+
+@borrowing_kernel
+def land_group(
+    scene: SceneArrays,
+    emission: EmissionArrays,
+    seed: np.uint64,
+    group: int,
+    groups: int,
+    first: int,
+    rays: NDArray[np.float32],
+    weights: NDArray[np.float32],
+    survival: float,
+    sinks: Sinks,
+    scratch: Scratch,
+) -> None:
+    """Follow stored exits, number `first` and on of a group, from their chip until they end.
+
+    `weights` (n,): factor on each exit's weight where the chip is another than the one it comes from; (0,): none.
+    """
+    stream, ray, trace, _, _ = scratch
+    for number in range(rays.shape[0]):
+        start(stream, seed, np.uint64(first + number) * np.uint64(groups) + np.uint64(group))
+        for i in range(EVENT_OF_EXIT):
+            ray[i] = rays[number, i]
+        ray[EVENT] = rays[number, EVENT_OF_EXIT]
+        length = 1.0 / sqrt(ray[DX] * ray[DX] + ray[DY] * ray[DY] + ray[DZ] * ray[DZ])
+        ray[DX], ray[DY], ray[DZ] = ray[DX] * length, ray[DY] * length, ray[DZ] * length
+        ray[CHIP_X], ray[CHIP_Y] = emission.centres_um[0, 0], emission.centres_um[0, 1]
+        if emission.chip_cumulative.size > 1:
+            u, _, _, _ = draw(stream, CHIP, 0)
+            _choose_chip(emission, u, ray)
+        ray[WEIGHT] = rays[number, WEIGHT_OF_EXIT] * (weights[number] if weights.size > 0 else 1.0)
+        wave, path = int(rays[number, WAVE_OF_EXIT]), clear_way(scene, ray)
+        leave_chip(ray, sinks)
+        if path > 0.0:
+            ray[X] += path * ray[DX]
+            ray[Y] += path * ray[DY]
+            ray[Z] = scene.numbers[DISTANCE]
+            if not receive(scene, wave, ray, stream, sinks, survival):
+                continue
+        follow(scene, wave, ray, stream, sinks, survival, trace)
+
+
+@borrowing_kernel
+def follow(
+    scene: SceneArrays, wave: int, ray: Real, stream: Stream, sinks: Sinks, survival: float, trace: Real
+) -> None:
+    """Follow a ray outside the chips (module coordinates) until it ends."""
+    while walk_module(scene, wave, ray, stream, sinks, survival) == INTO_CHIP:
+        if walk_chip(scene, wave, ray, stream, sinks.ledger, trace) != OUT:
+            return
+        leave_chip(ray, sinks)
+
+
+@inlined_kernel
+def leave_chip(ray: Real, sinks: Sinks) -> None:
+    """From positions relative to the chip to the module's; notes the direction of light not yet back from above."""
+    if sinks.directions.shape[1] > 0 and ray[EVENT] != AFTER_RECEIVER:
+        note_direction(sinks.directions, 0, ray[DX], ray[DY], ray[DZ], ray[WEIGHT])
+    ray[X] += ray[CHIP_X]
+    ray[Y] += ray[CHIP_Y]
+
+
+@borrowing_kernel
+def scramble_keys(seed: np.uint64, group: int, keys: NDArray[np.uint64]) -> None:
+    """The keys of a group's own Sobol sequence, (dimension,)."""
+    for dimension in range(keys.size):
+        keys[dimension], _, _, _ = philox4x32(
+            np.uint64(group), np.uint64(dimension), np.uint64(0), _SOBOL_KEY, seed
+        )
+
+
+@inlined_kernel
+def emit(
+    scene: SceneArrays,
+    emission: EmissionArrays,
+    stream: Stream,
+    place: int,
+    sobol: bool,
+    directions: NDArray[np.uint64],
+    keys: NDArray[np.uint64],
+    uniforms: Real,
+    ray: Real,
+    ledger: Real,
+) -> int:
+    """Begin a history: position relative to its chip, direction, chip; returns the number of its wavelength."""
+    a, b, c, d = draw(stream, EMISSION, 0)
+    if sobol:
+        point(directions, np.uint64(place), keys, uniforms)
+    else:
+        uniforms[0], uniforms[1], uniforms[2], uniforms[3] = a, b, c, d
+        uniforms[4], _, _, _ = draw(stream, EMISSION, 1)
+    choose, other, _, _ = draw(stream, CHIP, 0)
+    wave = 0
+    while wave < emission.wave_cumulative.size - 1 and choose >= emission.wave_cumulative[wave]:
+        wave += 1
+    _place(scene, emission, uniforms, ray)
+    _choose_chip(emission, other, ray)
+    ray[WEIGHT], ray[EVENT] = 1.0, float(THROUGH_TOP)
+    ledger[EMITTED] += 1.0
+    if scene.flags[CONES]:
+        _into_cones(emission, scene.numbers[INDEX + wave], uniforms, ray)
+        _book_trapped(scene, emission, wave, stream, ray, ledger)
+    return wave
+
+
+@inlined_kernel
+def _place(scene: SceneArrays, emission: EmissionArrays, uniforms: Real, ray: Real) -> None:
+    width = 2.0 * scene.numbers[HALF_WIDTH]
+    cosine = _quantile(emission.cosine_quantiles, uniforms[0])
+    if scene.flags[FROM_TOP]:
+        cosine = sqrt(uniforms[0])
+    sine, phi = sqrt(max(0.0, 1.0 - cosine * cosine)), 2.0 * pi * uniforms[1]
+    ray[DX], ray[DY], ray[DZ] = sine * np.cos(phi), sine * np.sin(phi), cosine
+    rows = emission.row_cumulative
+    row, up = _cell(rows, uniforms[3])
+    column, right = _cell(emission.column_cumulative[row], uniforms[2])
+    ray[X] = ((column + right) / (emission.column_cumulative.shape[1] - 1) - 0.5) * width
+    ray[Y] = ((row + up) / (rows.size - 1) - 0.5) * width
+    ray[Z] = scene.numbers[THICKNESS] * (
+        1.0 if scene.flags[FROM_TOP] else _quantile(emission.height_quantiles, uniforms[4])
+    )
+
+
+@inlined_kernel
+def _into_cones(emission: EmissionArrays, n: float, uniforms: Real, ray: Real) -> None:
+    """A direction within the escape cone of one of the six faces, weighted by the emission there over its density."""
+    axis = min(int(uniforms[0] * 6.0), 5)
+    solid = 1.0 - sqrt(1.0 - 1.0 / (n * n))  # of a cone, over 2 pi
+    along = 1.0 - solid * (uniforms[0] * 6.0 - axis)
+    across, phi = sqrt(max(0.0, 1.0 - along * along)), 2.0 * pi * uniforms[1]
+    if axis & 1:
+        along = -along
+    p, q = across * np.cos(phi), across * np.sin(phi)
+    ray[DX], ray[DY], ray[DZ] = (along, p, q) if axis < 2 else (q, along, p) if axis < 4 else (p, q, along)
+    place = (ray[DZ] + 1.0) * 0.5 * (emission.intensity.size - 1)
+    node = min(int(place), emission.intensity.size - 2)
+    here = emission.intensity[node]
+    ray[WEIGHT] = (here + (place - node) * (emission.intensity[node + 1] - here)) * 12.0 * pi * solid
+
+
+@borrowing_kernel
+def _book_trapped(
+    scene: SceneArrays, emission: EmissionArrays, wave: int, stream: Stream, ray: Real, ledger: Real
+) -> None:
+    """Where the light that is born outside all escape cones ends: the chip and its mirror share it.
+
+    1 - weight of it, on average over histories; the shares are those of one such direction: with e the light left
+    after a round trip and r the mirror's reflectance they are sums of geometric series.
+    """
+    n, alpha, top = scene.numbers[INDEX + wave], scene.numbers[ABSORPTION], scene.numbers[THICKNESS]
+    trapped = 1.0 - ray[WEIGHT]
+    if scene.flags[CLOSED]:
+        ledger[TRAPPED_END] += trapped
+        return
+    inside = sqrt(1.0 - 1.0 / (n * n))
+    cosine = 0.5
+    for attempt in range(2, 66):
+        a, b, _, _ = draw(stream, EMISSION, attempt)
+        tried = _quantile(emission.cosine_quantiles, a)
+        sine, phi = sqrt(max(0.0, 1.0 - tried * tried)), 2.0 * pi * b
+        if max(abs(tried), abs(sine * np.cos(phi)), abs(sine * np.sin(phi))) < inside:
+            cosine = tried
+            break
+    first = ray[Z] if cosine < 0.0 else 2.0 * top - ray[Z]
+    r = albedo(scene.surfaces, BOTTOM, wave, 1.0)
+    start, e = np.exp(-alpha * first / abs(cosine)), np.exp(-alpha * 2.0 * top / abs(cosine))
+    ledger[CHIP_END] += trapped * (1.0 - start + start * r * (1.0 - e) / (1.0 - e * r))
+    ledger[SUBSTRATE_END] += trapped * start * (1.0 - r) / (1.0 - e * r)
+
+
+@inlined_kernel
+def _choose_chip(emission: EmissionArrays, u: float, ray: Real) -> None:
+    """The chip of a history, in proportion to the powers."""
+    chip = 0
+    while chip < emission.chip_cumulative.size - 1 and u >= emission.chip_cumulative[chip]:
+        chip += 1
+    ray[CHIP_X], ray[CHIP_Y] = emission.centres_um[chip, 0], emission.centres_um[chip, 1]
+
+
+@inlined_kernel
+def _quantile(quantiles: Real, u: float) -> float:
+    """The value below which a share u lies."""
+    at = u * (quantiles.size - 1)
+    node = min(int(at), quantiles.size - 2)
+    return quantiles[node] + (at - node) * (quantiles[node + 1] - quantiles[node])
+
+
+@inlined_kernel
+def _cell(cumulative: Real, u: float) -> tuple[int, float]:
+    """The cell in which u falls, and where in it."""
+    cell = 0
+    while cell < cumulative.size - 2 and u >= cumulative[cell + 1]:
+        cell += 1
+    return cell, (u - cumulative[cell]) / (cumulative[cell + 1] - cumulative[cell])

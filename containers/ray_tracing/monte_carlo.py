@@ -1,0 +1,84 @@
+"""The Monte Carlo solver: histories on all threads until there are enough of them, the same whoever computes what."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from time import perf_counter
+
+import numpy as np
+
+from containers.ray_tracing.arrays import SceneArrays
+from containers.ray_tracing.kernel import scratch, trace_group
+from containers.ray_tracing.packing import emission_arrays, scene_arrays
+from containers.ray_tracing.sobol import DIRECTIONS
+from containers.ray_tracing.tally import GROUPS, Tally
+from containers.scene import Scene
+from luxloop.errors import InputError
+
+BLOCK = 1024
+"""Histories of a group that belong together; a run is a whole number of them."""
+CHUNK_S = 0.1
+"""About as long one call of a kernel takes, so that progress is told and a stop is heard."""
+IMPLICIT, ANALOG = 1.0, 0.0
+"""Chance that what the receiver reflects goes on: always, with less weight; or as often as in nature."""
+
+
+class MonteCarlo:
+    """Histories of one scene, continued at will; `tally` holds what they left."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        seed: int,
+        *,
+        groups: int = GROUPS,
+        sobol: bool = True,
+        survival: float = IMPLICIT,
+        threads: int | None = None,
+        direction_bins: tuple[int, int] = (0, 0),
+    ) -> None:
+        self.scene, self.seed = scene, seed
+        self.tally = Tally.empty(scene, groups, direction_bins)
+        self.arrays: SceneArrays = scene_arrays(scene)
+        self._emission = emission_arrays(scene)
+        self._sobol, self._survival = sobol, survival
+        self._threads = threads or usable_threads()
+        self._calls = BLOCK // 8
+        """Histories of a group in one call; grows until a call takes about `CHUNK_S`."""
+
+    def run_to(self, histories: int, report: Callable[[float], None] | None = None) -> Tally:
+        """Trace until each group has `histories`; `report` hears the share done and may raise to stop."""
+        begin = self.tally.histories
+        with ThreadPoolExecutor(self._threads) as pool:
+            while self.tally.histories < histories:
+                if report is not None:
+                    report((self.tally.histories - begin) / (histories - begin))
+                count = min(self._calls, histories - self.tally.histories)
+                start_s = perf_counter()
+                list(pool.map(lambda group: self._trace(group, count), range(self.tally.groups)))
+                self.tally.histories += count
+                call_s = (perf_counter() - start_s) * self._threads / self.tally.groups
+                if call_s < CHUNK_S / 2.0:
+                    self._calls *= 2
+        return self.tally
+
+    def _trace(self, group: int, count: int) -> None:
+        tally = self.tally
+        trace_group(
+            self.arrays, self._emission, np.uint64(self.seed), group, tally.groups, tally.histories, count,
+            self._sobol, self._survival, DIRECTIONS, tally.sinks(group), scratch(),
+        )  # fmt: skip
+
+
+def usable_threads() -> int:
+    """Threads to compute on: those of the machine that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def blocks_of(histories: int, groups: int = GROUPS) -> int:
+    """Histories of each group for at least `histories` in all, a whole number of blocks; InputError for none."""
+    if not 0 < histories <= 10**11:
+        raise InputError("histories", histories, "1 to 100,000,000,000", "how many rays are born")
+    return BLOCK * -(-histories // (BLOCK * groups))

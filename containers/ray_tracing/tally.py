@@ -1,0 +1,135 @@
+"""What a run of histories has left behind, group by group: bins of the receiver, ledger, optical events, directions.
+
+Groups are independent and alike (each its own scrambled sequence, or its own stored exits), so the spread between
+them is the standard error of whatever is computed from their mean.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from math import inf
+
+import numpy as np
+from numpy.typing import NDArray
+
+from containers.ray_tracing.arrays import ENDS, Sinks
+from containers.ray_tracing.field import mode_count
+from containers.scene import Array, Scene
+
+Real = NDArray[np.float64]
+
+GROUPS = 32
+MOST_BINS = 384
+"""Along an edge of a finite module."""
+FIRST, LATER = range(2)
+"""Layers of the bins: first arrivals at the receiver, and those after it sent light back."""
+OPTICAL_EVENTS = ("through_dbr", "from_sides", "after_top_reflection", "after_receiver")
+
+
+@dataclass(frozen=True)
+class Box:
+    """Where bins lie on the receiver: a quarter of a symmetric cell (folded), a whole cell, or a module with a pad."""
+
+    x0_um: float
+    y0_um: float
+    step_um: float
+    rows: int
+    columns: int
+    folded: bool
+    cell: bool
+
+    @classmethod
+    def of(cls, scene: Scene) -> Box:
+        """Fine enough that the bins' window takes 2 % off the highest mode that is kept."""
+        layout, height = scene.layout, scene.height_um
+        if isinstance(layout, Array):
+            pad = 2.0 * scene.distance_um
+            longest = 2.0 * (max(layout.half_x_um, layout.half_y_um) + pad)
+            step = max(min(height / 8.0, layout.spacing_um / 32.0), longest / MOST_BINS)
+            columns, rows = (2 * int(np.ceil((half + pad) / step)) for half in (layout.half_x_um, layout.half_y_um))
+            return cls(-columns * step / 2.0, -rows * step / 2.0, step, rows, columns, folded=False, cell=False)
+        modes = mode_count(height, layout.spacing_um)
+        bins = 128 if modes <= 8 else 256 if modes <= 24 else 512
+        step = layout.spacing_um / bins
+        if scene.symmetric:
+            return cls(0.0, 0.0, step, bins // 2, bins // 2, folded=True, cell=True)
+        return cls(-layout.spacing_um / 2.0, -layout.spacing_um / 2.0, step, bins, bins, folded=False, cell=True)
+
+    @property
+    def numbers(self) -> Real:
+        """As `Sinks.box`."""
+        return np.array([self.x0_um, self.y0_um, 1.0 / self.step_um, self.folded, self.cell], float)
+
+
+@dataclass
+class Tally:
+    """The sinks of all groups; (group, ...) first in every array."""
+
+    box: Box
+    bins: Real
+    """(group, layer, y, x), weights."""
+    ledger: Real
+    """(group, end), weights by `ENDS`."""
+    arrivals: Real
+    """(group, optical event), weights."""
+    directions: Real
+    """(group, 2, cosine, azimuth), weights: light that leaves chips, light at its first arrival."""
+    histories: int = 0
+    """Of each group."""
+    groups: int = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.groups = self.bins.shape[0]
+
+    @classmethod
+    def empty(cls, scene: Scene, groups: int = GROUPS, direction_bins: tuple[int, int] = (0, 0)) -> Tally:
+        """Nothing yet; `direction_bins` (cosine, azimuth) where the far field is wanted."""
+        box = Box.of(scene)
+        return cls(
+            box,
+            np.zeros((groups, 2, box.rows, box.columns)),
+            np.zeros((groups, len(ENDS))),
+            np.zeros((groups, len(OPTICAL_EVENTS))),
+            np.zeros((groups, 2, *direction_bins)),
+        )
+
+    def sinks(self, group: int) -> Sinks:
+        """Where kernels write the histories of one group."""
+        return Sinks(
+            self.bins[group], self.box.numbers, self.ledger[group], self.arrivals[group], self.directions[group]
+        )
+
+    @property
+    def total_histories(self) -> int:
+        """Of all groups."""
+        return self.histories * self.groups
+
+    @property
+    def ledger_per_history(self) -> dict[str, float]:
+        """Share of the emitted light by its end; `roulette` is the net weight that roulette created."""
+        total = self.ledger.sum(axis=0) / self.total_histories
+        return dict(zip(ENDS, map(float, total), strict=True))
+
+    @property
+    def ledger_defect(self) -> float:
+        """emitted + roulette - all ends, per history: 0 but for rounding."""
+        ends = self.ledger_per_history
+        put_in = ends.pop("emitted") + ends.pop("roulette")
+        return put_in - sum(ends.values())
+
+    @property
+    def events_per_history(self) -> dict[str, float]:
+        """Arrivals at the receiver per emitted light, by the paper's optical events."""
+        return dict(zip(OPTICAL_EVENTS, map(float, self.arrivals.sum(axis=0) / self.total_histories), strict=True))
+
+    def cell_bins(self, layer: int | None = None) -> Real:
+        """(group, y, x): bins of a whole cell, unfolded where they were folded; of one layer or of both together."""
+        bins = self.bins.sum(axis=1) if layer is None else self.bins[:, layer]
+        if not self.box.folded:
+            return np.asarray(bins)
+        quarter = (bins + bins.swapaxes(1, 2)) / 8.0
+        half = np.concatenate([quarter[:, ::-1], quarter], axis=1)
+        return np.concatenate([half[:, :, ::-1], half], axis=2)
+
+
+NEVER = inf

@@ -1,0 +1,73 @@
+"""The words for work of the ray-tracing worker (PC3): which module, how it is solved and how well, what comes back.
+
+Everything that decides a result is in its request, the seeds and the film's hash too; wall clock and threads are not.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, ClassVar, Literal
+
+from pydantic import Field, model_validator
+
+from luxloop.camera import Camera
+from luxloop.design import Design
+from luxloop.effect import AppliedEffect
+from luxloop.errors import InputError
+from luxloop.model import Environment, Fraction
+from luxloop.words import Sha256, Words
+
+KIND = "ray"
+
+Seed = Annotated[str, Field(pattern=r"^(0|[1-9][0-9]{0,18})$", coerce_numbers_to_str=True)]
+Chips = Annotated[int, Field(ge=1, le=100)]
+Power = Annotated[float, Field(ge=0.0, le=1000.0)]
+Offset = Annotated[float, Field(ge=-1e4, le=1e4)]
+
+
+class Film(Words):
+    """The table of the design's DBR as PC2 answered it."""
+
+    sha256: Sha256
+    bytes: int = Field(gt=0, le=64 << 20)
+
+
+class ChipArray(Words):
+    """A finite module about its centre, its chips listed row by row from the lowest y."""
+
+    rows: Chips
+    columns: Chips
+    half_um: float | None = Field(None, gt=0.0, le=1e6, description="Centre to edge; none: half a pitch past chips.")
+    wall_reflectance: Fraction | None = Field(None, description="Of a mirror at the edge; none: the edge is open.")
+    power: tuple[Power, ...] = Field((), max_length=10_000, description="Of each chip, relative; none: all 1.")
+    offset_um: tuple[tuple[Offset, Offset], ...] = Field((), max_length=10_000, description="x, y of each chip.")
+
+
+class RayRequest(Words):
+    """A design in an environment, solved up to a count of histories or up to an error of its uniformity."""
+
+    KIND: ClassVar[str] = KIND
+
+    environment: Environment
+    design: Design
+    film: Film | None = Field(None, description="Of the design's DBR; none: no pairs.")
+    effects: tuple[AppliedEffect, ...] = Field((), max_length=64)
+    layout: Literal["cell"] | ChipArray = Field("cell", description="An endless array, or a finite one.")
+    method: Literal["monte_carlo", "twin"] = "monte_carlo"
+    histories: int | None = Field(None, ge=1, le=10**11, description="At least so many.")
+    target_error_points: float | None = Field(None, ge=1e-3, le=100.0, description="Of U; 1 point is 0.01.")
+    budget_s: float = Field(60.0, gt=0.0, le=86_400.0, description="What would take longer is refused.")
+    seed: Seed = "1"
+    stored_exits: bool = Field(False, description="Land stored exits instead of full histories.")
+    exit_seed: Seed = Field("1", description="Of the walk inside the chip, where exits are stored or returned.")
+    map_bins: int = Field(64, ge=2, le=512, description="Along the longer side of the map.")
+    far_field: bool = False
+    exit_histories: int = Field(0, ge=0, le=10_000_000, description="Whose exits come back as rays.")
+    images: tuple[Camera, ...] = Field((), max_length=64)
+
+    @model_validator(mode="after")
+    def _one_end(self) -> RayRequest:
+        if (self.histories is None) == (self.target_error_points is None):
+            raise InputError(
+                "histories", self.histories, "a count, or else target_error_points", "give one of the two"
+            )
+        return self
