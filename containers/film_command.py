@@ -5,14 +5,14 @@ from __future__ import annotations
 import json
 import shutil
 import sys
-from collections.abc import Callable, Sequence
-from importlib.metadata import entry_points
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from containers.asking import answers, connected, fetched
+from containers.drawing import PICTURES, view
 from containers.film_text import as_text
 from containers.typed import angles_deg, bandwidth_nm, check_file, dbr_pairs, parse_stack, wavelengths_nm
 from luxloop.errors import InputError
@@ -31,7 +31,6 @@ Side = Literal["inside", "outside"]
 Polarisation = Literal["s", "p", "u"]
 CURVE_POINTS = 361
 EXPORTS = (".coated", ".bsdf", ".xml")
-PICTURES = (".png", ".pdf", ".svg")
 
 
 def film(
@@ -79,7 +78,7 @@ def film(
         raise InputError("--export", str(export), "one number of pairs", "export one DBR at a time")
     check_file("--plot", plot, PICTURES)
     check_file("--export", export, EXPORTS)
-    draw = _view(plot) if plot is not None else None
+    draw = view("film", plot) if plot is not None else None
     settings = load_settings()
     usable_cache(settings)
     show = sys.stderr.isatty() and not (as_json or quiet)
@@ -259,14 +258,3 @@ class _Question:
                 "from_side": self.side,
             },
         )
-
-
-def _view(plot: Path) -> Callable[[dict[str, Any], Path], None]:
-    """What draws a film; asked for before anything is computed."""
-    mend = "pip install 'luxloop[viewer]'"
-    try:
-        (view,) = entry_points(group="luxloop.views", name="film")
-        draw: Callable[[dict[str, Any], Path], None] = view.load()
-    except (ImportError, ValueError) as error:  # ValueError: no view of that name
-        raise InputError("--plot", str(plot), "an installation with pictures", mend) from error
-    return draw

@@ -57,7 +57,7 @@ class Chip:
         within("width_um", self.width_um, 0.0, 1e5, "the side of the chip", above=True)
         within("thickness_um", self.thickness_um, 0.0, 1e5, "the height of the chip", above=True)
         within("absorption_per_um", self.absorption_per_um, 0.0, 1e3, "1 /cm is 1e-4 /um")
-        index = within("index", self.index, 1.2248, 10.0, "unfolding needs n^2 above 3/2")
+        index = within("index", self.index, 2.0**0.5, 10.0, "unfolding needs n^2 of at least 2")
         if index.ndim != 1 or not index.size:
             raise InputError("index", index.shape, "one number per wavelength")
         if (self.bottom == "mirror") != (self.mirror is not None):
@@ -85,7 +85,7 @@ class Emission:
         cosine = within("cosine", self.cosine, -1.0, 1.0, "from -1 to 1")
         intensity = within("intensity", self.intensity, 0.0, 1e12, "weights")
         position = within("position", self.position, 0.0, 1e12, "weights")
-        if cosine.ndim != 1 or cosine.shape != intensity.shape or not np.all(np.diff(cosine) > 0.0):
+        if cosine.ndim != 1 or cosine.size < 2 or cosine.shape != intensity.shape or not np.all(np.diff(cosine) > 0.0):
             raise InputError("cosine", cosine.shape, "increasing cosines, one for each intensity")
         if position.ndim != 2 or not position.sum() > 0.0 or not intensity.sum() > 0.0:
             raise InputError("position", position.shape, "weights (y, x), not all 0", "something must shine")
@@ -209,6 +209,8 @@ class Scene:
         within("distance_um", self.distance_um, 0.0, 1e6, "above the chips", above=True)
         lowest = self.distance_um
         width, spacing = self.chip.width_um, self.layout.spacing_um
+        within("spacing_um", spacing, 0.0, 1e6, "from chip to chip", above=True)
+        within("tilt_per_um", self.tilt_per_um, -1e3, 1e3, "relative rise per um")
         if isinstance(self.layout, Array):
             reach = np.abs(self.tilt_per_um) @ (self.layout.half_x_um, self.layout.half_y_um)
             lowest *= 1.0 - float(reach)

@@ -49,12 +49,14 @@ def controller(router: Router = None, quiet: Quiet = False) -> None:
 def local(
     router: Router = None,
     thin_film: Annotated[int, typer.Option(min=0, max=64, help="How many thin-film workers.")] = 1,
+    ray_tracing: Annotated[int, typer.Option(min=0, max=64, help="How many ray-tracing workers.")] = 1,
     quiet: Quiet = False,
 ) -> None:
     """Run router, controller and workers on this machine until Ctrl-C; what ends is started again."""
     from env_controller.local_set import run_local
 
-    run_local(load_settings(router=router), {"thin-film": thin_film}, stop_event(), quiet=quiet)
+    workers = {"thin-film": thin_film, "ray-tracing": ray_tracing}
+    run_local(load_settings(router=router), workers, stop_event(), quiet=quiet)
 
 
 def stop_event() -> threading.Event:

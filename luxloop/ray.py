@@ -51,7 +51,7 @@ class RayRequest(Words):
     design: Design
     film: Film | None = Field(None, description="Of the design's DBR; none: no pairs.")
     effects: tuple[AppliedEffect, ...] = Field((), max_length=64)
-    layout: Literal["cell"] | ChipArray = Field("cell", description="An endless array, or a finite one.")
+    array: ChipArray | None = Field(None, description="A finite module; none: chips without end.")
     method: Literal["monte_carlo", "twin"] = "monte_carlo"
     histories: int | None = Field(None, ge=1, le=10**11, description="At least so many.")
     target_error_points: float | None = Field(None, ge=1e-3, le=100.0, description="Of U; 1 point is 0.01.")

@@ -295,7 +295,7 @@ def _book_trapped(
     n, alpha, top = scene.numbers[INDEX + wave], scene.numbers[ABSORPTION], scene.numbers[THICKNESS]
     trapped = 1.0 - ray[WEIGHT]
     if scene.flags[CLOSED]:
-        ledger[TRAPPED_END] += trapped
+        ledger[TRAPPED_END if alpha == 0.0 else CHIP_END] += trapped
         return
     inside = sqrt(1.0 - 1.0 / (n * n))
     cosine = 0.5

@@ -180,8 +180,8 @@ def _find_chip(scene: SceneArrays, ray: Real, begin: float, end: float, from_abo
                 if enter == begin:
                     return _CHIP_TOP, enter
                 return (_CHIP_X, enter) if enter == enter_x else (_CHIP_Y, enter)
-        to_x = ((column + (0.5 if dx > 0.0 else -0.5)) * spacing - x) * inverse_x
-        to_y = ((row + (0.5 if dy > 0.0 else -0.5)) * spacing - y) * inverse_y
+        to_x = ((column + (0.5 if dx >= 0.0 else -0.5)) * spacing - x) * inverse_x
+        to_y = ((row + (0.5 if dy >= 0.0 else -0.5)) * spacing - y) * inverse_y
         here = min(to_x, to_y)
         if here >= end or here >= 1e299:
             return _NOTHING, inf
@@ -226,8 +226,10 @@ def _edge(scene: SceneArrays, wave: int, ray: Real, stream: Stream, sinks: Sinks
     """
     dx, dy, dz = ray[DX], ray[DY], ray[DZ]
     if not scene.flags[WALLS]:
-        if dz > 0.0:
-            path = (scene.numbers[DISTANCE] - ray[Z]) / dz
+        distance, tilt_x, tilt_y = scene.numbers[DISTANCE], scene.numbers[TILT_X], scene.numbers[TILT_Y]
+        rise = dz - distance * (tilt_x * dx + tilt_y * dy)
+        if rise > 0.0:
+            path = (distance * (1.0 + tilt_x * ray[X] + tilt_y * ray[Y]) - ray[Z]) / rise
             _record(sinks, 0 if ray[EVENT] < AFTER_RECEIVER else 1, ray[X] + dx * path, ray[Y] + dy * path, ray[WEIGHT])
         return False
     if what == _EDGE_X:
@@ -324,10 +326,13 @@ def _send_back(
         if u >= chance:
             sinks.ledger[ROULETTE_END] -= weight * kept
             return False
-    _, p, q, r = scatter(scene.surfaces, RECEIVER, wave, 1.0, 1.0, p, q, r, stream, RECEIVER_KIND, kept)
+    fate, p, q, r = scatter(scene.surfaces, RECEIVER, wave, 1.0, 1.0, p, q, r, stream, RECEIVER_KIND, kept)
     follow_up(stream, RECEIVER_KIND)
     ray[WEIGHT] = weight * kept / chance
     sinks.ledger[ROULETTE_END] += weight * kept / chance - weight * kept
+    if fate != REFLECTED:  # through the plate
+        sinks.ledger[RECEIVER_END] += ray[WEIGHT]
+        return False
     ray[DX], ray[DY], ray[DZ] = p, q, -r
     if tilted:
         a = 1.0 / (1.0 + mz)

@@ -152,7 +152,7 @@ def _cells(table: Tabulated) -> Real:
     upper = (edges[1:] <= np.pi / 2 * (1.0 + 1e-12)).astype(float)
     head = [table.theta_in_rad.size, edges.size - 1, table.phi_out_edges_rad.size - 1, table.images]
     squares = np.sin(np.minimum(edges, np.pi)) ** 2
-    return np.concatenate([head, table.theta_in_rad, squares, upper, table.phi_out_edges_rad, ends.ravel()])
+    return np.concatenate([head, table.theta_in_rad, total[:, 0], squares, upper, table.phi_out_edges_rad, ends.ravel()])
 
 
 def scene_arrays(scene: Scene) -> SceneArrays:
@@ -223,7 +223,8 @@ def _flags(scene: Scene, tables: tuple[int, int, int]) -> NDArray[np.int64]:
         isinstance(layout, Array) and layout.wall is not None, lossless["sides"] and plain, chip.bottom == "air_gap",
         kept or chip.bottom == "air_gap",
         scene.emission.from_top, not lossless["top"], *tables,
-        chip.bottom == "mirror" and isinstance(chip.mirror, Mirror) and all(lossless.values()),
+        chip.bottom == "mirror" and isinstance(chip.mirror, Mirror) and all(lossless.values()) and plain
+        and not scene.emission.from_top,
     )  # fmt: skip
     assert len(flags) == FLAGS
     return np.array(flags, np.int64)

@@ -5,9 +5,9 @@ same bits, on any machine. The clock decides one thing: a target that would take
 
     4 blocks, error e -> blocks x (e / target)^2 x 1.05, at most twice as many, -> ... until e <= target
 
-The error is itself known to 13 % (32 groups), so a run that stops by it ends a little early as often as late; stopping
-at the first error that is small enough makes stated errors too small by a few per cent of themselves at most, since
-counts grow in steps of up to two.
+The error is itself known to 13 % only (32 groups), and a run stops where it happens to be small: stated errors are
+4 % too small on average, and 94 to 95.5 % of the 95 % intervals hold the truth (4,000 runs each with pure noise, for
+targets 1 to 30 times below the first error; tests/containers/test_simulation.py repeats some).
 """
 
 from __future__ import annotations

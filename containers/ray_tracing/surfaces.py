@@ -31,7 +31,7 @@ PARTS, NODES, STRIDE, AT, BEYOND, FLAT, SPECULAR, SIGMA_AT, CELLS_AT, KIND = ran
 """Columns of `layout` (STRIDE: from one wavelength to the next, 0 for all the same); the kinds of up to `MOST_PARTS` parts follow from KIND on."""
 MOST_PARTS = 6
 ROWS, RINGS, SECTORS, IMAGES = range(4)
-"""The head of a table of cells, followed by angles of rows, sin^2 of rings, hemisphere of rings, phi of sectors, and
+"""The head of a table of cells, followed by angles and powers of rows, sin^2 of rings, hemisphere of rings, phi of sectors, and
 for each row the cumulative powers of its cells (a leading 0, the last 1)."""
 MOST_ATTEMPTS = 1 << 20
 
@@ -153,14 +153,17 @@ def from_table(
     t = surfaces.tables
     rows, rings, sectors, images = int(t[at]), int(t[at + 1]), int(t[at + 2]), int(t[at + 3])
     angles = at + 4
-    squares = angles + rows
+    totals = angles + rows
+    squares = totals + rows
     uppers = squares + rings + 1
     edges = uppers + rings
     cells = edges + sectors + 1
     theta = np.arccos(min(1.0, -z))
     row = _below(t, angles, rows, theta)
     if row < rows - 1 and theta > t[angles + row]:
-        if a < (theta - t[angles + row]) / (t[angles + row + 1] - t[angles + row]):
+        above = (theta - t[angles + row]) / (t[angles + row + 1] - t[angles + row])
+        here, there = (1.0 - above) * t[totals + row], above * t[totals + row + 1]
+        if a * (here + there) < there:
             row += 1
     powers = cells + row * (rings * sectors + 1)
     cell = _below(t, powers, rings * sectors + 1, b)

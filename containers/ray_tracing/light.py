@@ -1,0 +1,92 @@
+"""The field of a tally: which of its modes are light and which are noise.
+
+The receiver's first light carries all the detail. Its modes fall off less regularly than those of a Lambertian point
+(x K1(x), `field.mode_count`): light that leaves a clear chip along its side faces draws a cross on the receiver, so
+on S_b3 the modes (0, 5) to (0, 7) are 15 to 80 times that amplitude, and six modes alone put the uniformity 0.5
+points too low. Therefore more modes are taken than that rule asks for, and each is weighed by the share of light in
+the power of its neighbourhood (empirical Bayes, Wiener's weights).
+
+Light that comes back from above is smooth: mode k of it has gone the way receiver - substrate - receiver, 2kD K1(2kD)
+of its mean, or misses where chips stand, (W/S)^2 of what first light may show. That is the prior of its weights.
+
+A mode with weight w keeps w of its mean; its groups keep sqrt(w) of their spread, for its error is then that of the
+noise that was kept and of the light that may have been lost together. So every later estimate has an honest error.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from containers.ray_tracing.field import CellField, Field, ModuleField, lambert_transform, mode_count
+from containers.ray_tracing.tally import FIRST, LATER, Tally
+from containers.scene import Array, Scene
+
+Real = NDArray[np.float64]
+
+FEWEST_MODES, MORE_MODES = 10, 1.5
+"""Modes of first light: at least these, and this much more than the rule for a Lambertian point."""
+CAUTION = 0.3
+"""Power over noise that a neighbourhood of pure noise often has; it counts as noise."""
+
+
+def light_of(tally: Tally, scene: Scene) -> Field:
+    """The field of a tally: of a cell in relative illuminance, of a module in 1/mm^2 per flux of a nominal chip."""
+    if isinstance(scene.layout, Array):
+        box = tally.box
+        ends = (box.x0_um, box.x0_um + box.columns * box.step_um, box.y0_um, box.y0_um + box.rows * box.step_um)
+        histories = tally.histories / float(scene.layout.power.sum())
+        return ModuleField.from_bins(tally.cell_bins(), histories, ends, scene.height_um)
+    spacing, height = scene.layout.spacing_um, scene.height_um
+    modes = max(FEWEST_MODES, round(MORE_MODES * mode_count(height, spacing)))
+    first, later = (
+        CellField.from_bins(
+            tally.cell_bins(layer), tally.histories, spacing, height, modes, folded=tally.box.folded
+        )
+        for layer in (FIRST, LATER)
+    )
+    coefficients = _weighed(first, _share_of_first(first)) + _weighed(later, _share_of_later(later, scene))
+    return replace(first, coefficients=coefficients)
+
+
+def _weighed(field: Field, share: Real) -> Real:
+    """Coefficients whose mean is weighed by the share of light, their spread by its root."""
+    mean = field.coefficients.mean(axis=0)
+    return np.asarray(mean * share + (field.coefficients - mean) * np.sqrt(share))
+
+
+def _share_of_first(field: Field) -> Real:
+    """(function along y, along x), share of light in each mode, from the power around it."""
+    mean, noise = _mean_and_noise(field)
+    over_noise = _around(mean**2) / np.maximum(_around(noise), 1e-300) - 1.0
+    excess = np.maximum(over_noise - CAUTION, 0.0)
+    share = np.where(noise > 0.0, excess / (1.0 + excess), 0.0)
+    share[0, 0] = 1.0
+    return share
+
+
+def _share_of_later(field: Field, scene: Scene) -> Real:
+    """(function along y, along x), share of light in each mode, from what it can be."""
+    mean, noise = _mean_and_noise(field)
+    k = np.sqrt(np.add.outer(field.y.wavenumber_per_um**2, field.x.wavenumber_per_um**2))
+    covered = (scene.chip.width_um / scene.layout.spacing_um) ** 2
+    amplitude = lambert_transform(2.0 * k * scene.distance_um) + covered * lambert_transform(k * scene.height_um)
+    light = (2.0 * amplitude * mean[0, 0]) ** 2
+    share = np.where(noise > 0.0, light / np.maximum(light + noise, 1e-300), 0.0)
+    share[0, 0] = 1.0
+    return share
+
+
+def _mean_and_noise(field: Field) -> tuple[Real, Real]:
+    """Mean over groups, and its variance, of each coefficient."""
+    return field.coefficients.mean(axis=0), field.coefficients.var(axis=0, ddof=1) / field.groups
+
+
+def _around(power: Real) -> Real:
+    """Sum of each mode and its eight neighbours, cosines and sines each among themselves; the mean stays out."""
+    padded = np.pad(power, 1)
+    padded[1, 1] = 0.0
+    rows, columns = power.shape
+    return np.asarray(sum(padded[i : i + rows, j : j + columns] for i in range(3) for j in range(3)))

@@ -1,0 +1,106 @@
+"""What cameras see of a solved receiver: their expected images, and the standard errors of these.
+
+The field is known once for each independent group. What a camera does to it is linear up to the signal, so the
+deviations of the groups from their mean go through one by one, and their spread is the error of the signal; the
+sensor's own steps bend it by their slope there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from containers.ray_tracing.camera import irradiance_image, pixels, receiver_points, response
+from containers.ray_tracing.field import CellField, Field
+from containers.ray_tracing.light_map import LightMap
+from containers.ray_tracing.tally import Box
+from luxloop.camera import Camera
+from luxloop.errors import InputError
+
+Real = NDArray[np.float64]
+
+SAMPLES_PER_WAVE = 6.0
+"""Of the shortest wave of the field: the spline through them errs by 0.2 % of a wave whose amplitude is 1e-4."""
+WIDEST_STEP_UM = 50.0
+"""Half of the narrowest glare."""
+MOST_SAMPLES = 2048
+"""Along an axis."""
+MOST_PIXELS = 1 << 24
+"""Of all images of a request together."""
+
+
+def images_of(
+    field: Field, box: Box, cameras: Sequence[Camera], report: Callable[[float], None]
+) -> list[tuple[Real, Real]]:
+    """The expected image (row, column) in DN of each camera, and its standard error; glare sees all of the module.
+
+    Parameters
+    ----------
+    field : of the receiver; `box` is where its bins lay.
+    report : hears the share done, may raise to stop.
+
+    Raises
+    ------
+    InputError : pixels beyond the receiver of a finite module, or so many periods of a cell in view that their map
+        would be too large.
+    """
+    sums: list[tuple[Real, Real]] = []
+    maps = _maps(field, box, cameras)
+    groups = field.groups
+    for number, light in enumerate(maps):
+        report(number / (groups + 1))
+        seen = [camera.gain_dn * irradiance_image(light, camera) for camera in cameras]
+        if not number:
+            sums = [(signal, np.zeros_like(signal)) for signal in seen]
+        else:
+            for (_, squares), deviation in zip(sums, seen, strict=True):
+                squares += deviation**2
+    errors = (np.sqrt(squares / (groups * (groups - 1))) for _, squares in sums)
+    return [_digital(signal, error, camera) for (signal, _), error, camera in zip(sums, errors, cameras, strict=True)]
+
+
+def refuse_too_many(cameras: Sequence[Camera]) -> None:
+    """InputError where the images of all cameras together have more pixels than one answer should hold."""
+    total = sum(camera.rows * camera.columns for camera in cameras)
+    if total > MOST_PIXELS:
+        raise InputError("images", f"{total} pixels", f"at most {MOST_PIXELS} in all images", "ask in parts")
+
+
+def _digital(signal: Real, error: Real, camera: Camera) -> tuple[Real, Real]:
+    """Digital numbers and their error, for a signal and its error before the offset."""
+    low, middle, high = (response(signal + step * error + camera.offset_dn, camera) for step in (-1.0, 0.0, 1.0))
+    return middle, np.abs(high - low) / 2.0
+
+
+def _maps(field: Field, box: Box, cameras: Sequence[Camera]) -> Iterator[LightMap]:
+    """The mean map, then each group's deviation from it."""
+    per_mm2 = field.per_m2 * 1e-6
+    finest_um = 2.0 * np.pi / (SAMPLES_PER_WAVE * float(field.x.wavenumber_per_um.max()))
+    finest_um = min(finest_um, WIDEST_STEP_UM)
+    if isinstance(field, CellField):
+        half = field.spacing_um / 2.0
+        step = half / np.ceil(half / finest_um)
+        reach = half * np.ceil(max(map(_reach_um, cameras)) / half * (1.0 - 1e-9))
+        x0, y0, columns, rows, beyond = -reach, -reach, round(2 * reach / step), round(2 * reach / step), "mirror"
+    else:
+        step = box.step_um / np.ceil(box.step_um / finest_um)
+        columns, rows = (round(count * box.step_um / step) for count in (box.columns, box.rows))
+        x0, y0, beyond = box.x0_um, box.y0_um, "dark"
+    if max(columns, rows) > MOST_SAMPLES:
+        allowed = f"a view that a map of {MOST_SAMPLES} samples, {step:.3g} um apart, can hold"
+        raise InputError("images", f"{columns} x {rows} samples", allowed, "fewer or smaller pixels")
+    x_um, y_um = x0 + (np.arange(columns) + 0.5) * step, y0 + (np.arange(rows) + 0.5) * step
+    mean = field.coefficients.mean(axis=0)
+    for coefficients in (mean, *(field.coefficients - mean)):
+        irradiance = per_mm2 * replace(field, coefficients=coefficients[None]).grid(x_um, y_um)[0]
+        yield LightMap(irradiance, (float(x_um[0]), float(y_um[0])), float(step), beyond)  # type: ignore[arg-type]  # one of its two words
+
+
+def _reach_um(camera: Camera) -> float:
+    """How far from the module's centre, along x or y, a camera's pixels reach on the receiver."""
+    row, column = pixels(camera.rows), pixels(camera.columns)
+    borders = receiver_points(camera, row[[0, -1]], column), receiver_points(camera, row, column[[0, -1]])
+    return max(float((np.maximum(np.abs(x), np.abs(y)) + side).max()) for x, y, side in borders)

@@ -1,0 +1,201 @@
+"""From a request to its answer: scene, solver, stopping, then the document and the arrays. No clock, no bus."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import lru_cache
+from math import inf
+from typing import Protocol
+
+import numpy as np
+
+from containers.bsdf import Mirror
+from containers.ray_tracing.arrays import DX, DZ, X, Z
+from containers.ray_tracing.build import array_of, cell_of, scene_of
+from containers.ray_tracing.exits import Exits, Landing, make_exits
+from containers.ray_tracing.kernel import WAVE_OF_EXIT, WEIGHT_OF_EXIT
+from containers.ray_tracing.monte_carlo import BLOCK, MonteCarlo, blocks_of
+from containers.ray_tracing.outcome import Arrays, Document, far_fields, outcome, solved
+from containers.ray_tracing.receiver_images import images_of, refuse_too_many
+from containers.ray_tracing.stopping import POINTS, Solver, Target, run_to_count, run_to_error
+from containers.ray_tracing.tally import GROUPS, Tally
+from containers.ray_tracing.uniformity import uniformity
+from containers.scene import Array, Cell, Scene
+from containers.stack import dbr_of
+from containers.thin_film.table import FilmTable
+from luxloop.computation import Progress
+from luxloop.errors import InputError
+from luxloop.film import Spectrum
+from luxloop.ray import RayRequest
+
+BATCH_BLOCKS = 4
+"""Of exits that are made for the occasion."""
+DIRECTION_BINS = (128, 64)
+"""Of the far field: cosine of theta over the whole sphere, azimuth."""
+
+
+class ExitSource(Protocol):
+    """Who has stored exits, or makes them."""
+
+    def batches(self, scene: Scene, seed: int) -> Callable[[int], Exits]:
+        """From the number of a block to a set of exits that holds it; a function of chip, seed and block alone."""
+        ...
+
+
+class FreshExits:
+    """An `ExitSource` that keeps nothing but the last batch."""
+
+    def __init__(self, threads: int | None = None) -> None:
+        self._threads = threads
+
+    def batches(self, scene: Scene, seed: int) -> Callable[[int], Exits]:
+        """Each made when it is asked for."""
+
+        @lru_cache(maxsize=1)
+        def batch(number: int) -> Exits:
+            first = number * BATCH_BLOCKS
+            return make_exits(scene, seed, BATCH_BLOCKS * BLOCK, first_block=first, threads=self._threads)
+
+        return lambda block: batch(block // BATCH_BLOCKS)
+
+
+def simulate(
+    request: RayRequest,
+    film: FilmTable | None,
+    source: ExitSource,
+    progress: Progress,
+    threads: int | None = None,
+) -> tuple[Document, Arrays]:
+    """The result document of a request and its arrays.
+
+    Parameters
+    ----------
+    film : the table of `request.film`, None where there is none.
+    source : of stored chip exits.
+    threads : to compute on, all that may be used by default; the result does not depend on it.
+
+    Raises
+    ------
+    InputError : a design that cannot be built, a film that is not the design's, a target over its budget, too few
+        histories, pixels beyond the receiver.
+    Stopped : cancelled.
+
+    Notes
+    -----
+    Arrays: `map_lx`, `map_error_lx` (y, x); `cut_x_um`, `cut_lx`, `cut_error_lx`; with `far_field` those of
+    `outcome.far_fields`; `image_K`, `image_error_K` (row, column) in DN of camera K; with `exit_histories` the rays
+    that leave a chip, x and y about its centre, z from the substrate: `ray_position_um`, `ray_direction` (ray, 3),
+    `ray_flux_ratio` of the flux that the chip emits, `ray_wavelength_nm` (ray,).
+    """
+    if request.method == "twin":
+        raise InputError("method", "twin", "monte_carlo", "the twin is not built yet")
+    refuse_too_many(request.images)
+    refuse_other_film(request, film)
+    scene = scene_of(request.environment, request.design, film, layout_of(request))
+    solver = _solver(request, scene, source, threads)
+    _solve(request, scene, solver, progress)
+    found = solved(scene, solver.tally)
+    result, arrays = outcome(found, request.environment, request.map_bins)
+    result |= {name: getattr(request, name) for name in ("method", "seed", "stored_exits")}
+    if request.far_field:
+        result["far_field"], more = far_fields(found, fold=scene.symmetric)
+        result["far_field"]["eightfold"] = scene.symmetric
+        arrays |= more
+    if request.images:
+        seen = images_of(found.field, found.tally.box, request.images, lambda share: progress.report(share, "images"))
+        for number, (image, error) in enumerate(seen):
+            arrays |= {f"image_{number}": image, f"image_error_{number}": error}
+    if request.stored_exits or request.exit_histories:
+        result["exit_seed"] = request.exit_seed
+    if request.exit_histories:
+        of_rays, more = _exits(request, scene, film, source, progress)
+        result, arrays = result | of_rays, arrays | more
+    return result, arrays
+
+
+def layout_of(request: RayRequest) -> Cell | Array:
+    """The endless or finite array of a request. Raises InputError where its chips do not fit the module."""
+    asked = request.array
+    if asked is None:
+        return cell_of(request.environment, request.design)
+    array = array_of(request.environment, request.design, asked.rows, asked.columns, asked.half_um)
+    chips, mend = asked.rows * asked.columns, "one for each chip, row by row from the lowest y"
+    for name, given in (("power", asked.power), ("offset_um", asked.offset_um)):
+        if given and len(given) != chips:
+            raise InputError(f"array.{name}", f"{len(given)} values", f"{chips} values, or none", mend)
+    return replace(
+        array,
+        wall=None if asked.wall_reflectance is None else Mirror(asked.wall_reflectance),
+        power=np.array(asked.power or [1.0] * chips).reshape(asked.rows, asked.columns),
+        offset_um=np.array(asked.offset_um or [(0.0, 0.0)] * chips).reshape(asked.rows, asked.columns, 2),
+    )
+
+
+def refuse_other_film(request: RayRequest, film: FilmTable | None) -> None:
+    """InputError where a film is missing, is not the DBR of the request's design, or is not resolved."""
+    pairs, environment, mend = (
+        request.design.dbr_pairs,
+        request.environment,
+        "ask the thin-film worker for the design's",
+    )
+    if film is None:
+        if pairs:
+            raise InputError("film", None, f"the table of {pairs:g} pairs", mend)
+        return
+    wanted = dbr_of(environment, pairs), Spectrum(peak_nm=environment.peak_nm, fwhm_nm=environment.fwhm_nm)
+    if not pairs or (film.stack, film.spectrum) != wanted:
+        raise InputError("film", str(film.stack)[:200], str(wanted[0])[:200] if pairs else "none: no pairs", mend)
+    if not film.resolved:
+        raise InputError("film", film.error_average_ratio, f"an error up to {film.grid.tolerance_ratio:g}", mend)
+
+
+def _solver(request: RayRequest, scene: Scene, source: ExitSource, threads: int | None) -> Solver:
+    seed, directions = int(request.seed), DIRECTION_BINS if request.far_field else (0, 0)
+    if request.stored_exits:
+        batches = source.batches(scene, int(request.exit_seed))
+        return Landing(scene, batches, seed, threads=threads, direction_bins=directions)
+    return MonteCarlo(scene, seed, threads=threads, direction_bins=directions)
+
+
+def _solve(request: RayRequest, scene: Scene, solver: Solver, progress: Progress) -> None:
+    """Trace as many histories as the request says, or asks for by its target."""
+    if request.target_error_points is None:
+        run_to_count(solver, request.histories or 0, progress)
+        return
+    target = Target(request.target_error_points / POINTS, request.budget_s)
+    run_to_error(solver, lambda tally: uniformity_error(scene, tally), target, progress)
+
+
+def uniformity_error(scene: Scene, tally: Tally) -> float:
+    """Standard error of U (Eq. 8), infinity where there are too few histories to tell."""
+    found = solved(scene, tally)
+    try:
+        return uniformity(found.field, found.region).standard_error
+    except InputError as error:
+        if error.field != "histories":
+            raise
+        return inf
+
+
+def _exits(
+    request: RayRequest, scene: Scene, film: FilmTable | None, source: ExitSource, progress: Progress
+) -> tuple[Document, Arrays]:
+    """The light that leaves a chip, ray by ray; of whole blocks of all groups, at least as many as were asked for."""
+    blocks = blocks_of(request.exit_histories) // BLOCK
+    batches, rays, block = source.batches(scene, int(request.exit_seed)), [], 0
+    while block < blocks:
+        progress.report(block / blocks, "rays")
+        found = batches(block)
+        here, last = block - found.first_block, min(blocks - found.first_block, found.ledger.shape[1])
+        rays += [found.rays[ends[here] : ends[last]] for ends in found.ends]
+        block = found.first_block + last
+    exits, emitted = np.concatenate(rays), blocks * BLOCK * GROUPS
+    sampled = request.environment.spectrum == "sampled" and film is not None
+    line_nm = film.wavelength_nm if sampled and film is not None else np.array([request.environment.peak_nm])
+    return {"exit_histories": emitted}, {
+        "ray_position_um": exits[:, X : Z + 1],
+        "ray_direction": exits[:, DX : DZ + 1],
+        "ray_flux_ratio": exits[:, WEIGHT_OF_EXIT] / np.float32(emitted),
+        "ray_wavelength_nm": np.asarray(line_nm, np.float32)[exits[:, WAVE_OF_EXIT].astype(int)],
+    }

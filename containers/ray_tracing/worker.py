@@ -1,0 +1,113 @@
+"""PC3's work: a request, the film table it names, the answer of `simulation`."""
+
+from __future__ import annotations
+
+import os
+from collections import OrderedDict
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from containers.known_effects import refuse_unknown
+from containers.ray_tracing.monte_carlo import usable_threads
+from containers.ray_tracing.simulation import ExitSource, simulate
+from containers.stack import dbr_of
+from containers.thin_film.packing import unpack
+from containers.thin_film.table import FilmTable, film_table
+from luxloop.bus.frame import Array
+from luxloop.camera import Camera
+from luxloop.computation import Progress
+from luxloop.design import Design
+from luxloop.errors import InputError, RemoteError
+from luxloop.failure import Failure
+from luxloop.film import Grid, Spectrum
+from luxloop.model import Environment
+from luxloop.ray import KIND, ChipArray, Film, RayRequest
+from luxloop.words import parse
+
+Fetch = Callable[[str, int], bytes]
+
+HELD_FILMS = 64
+"""Film tables kept unpacked, some 200 kB each."""
+MOST_THREADS = 1024
+
+
+class RayComputation:
+    """What makes a worker the ray-tracing worker.
+
+    `fetch` brings a blob by hash and size, from the bus; `source` has the stored chip exits.
+    """
+
+    kind = KIND
+
+    def __init__(self, fetch: Fetch, source: ExitSource, threads: int | None = None) -> None:
+        self._fetch, self._source, self._threads = fetch, source, threads
+        self._films: OrderedDict[str, FilmTable] = OrderedDict()
+
+    def catalogue(self) -> dict[str, Any]:
+        """What can be asked, and which effects are known."""
+        return {"methods": ["monte_carlo"], "effects": []}
+
+    def blob(self, sha256: str) -> bytes | None:  # noqa: ARG002  # a worker's interface
+        """None: what it sends lies in the store of what was sent."""
+        return None
+
+    def compute(self, inputs: dict[str, Any], progress: Progress) -> tuple[dict[str, Any], Mapping[str, Array]]:
+        """The answer to a `RayRequest`."""
+        request = parse(RayRequest, inputs, "ray request")
+        refuse_unknown(request.effects, "ray-tracing")
+        progress.report(0.0, str(request.design))
+        film = None if request.film is None else self._film(request.film)
+        return simulate(request, film, self._source, progress, self._threads)
+
+    def _film(self, film: Film) -> FilmTable:
+        """The table of that hash, of those held or from who has it; RemoteError not_found where nobody has."""
+        if film.sha256 not in self._films:
+            self._films[film.sha256] = FilmTable.from_parts(*unpack(self._fetched(film)))
+            if len(self._films) > HELD_FILMS:
+                self._films.popitem(last=False)
+        self._films.move_to_end(film.sha256)
+        return self._films[film.sha256]
+
+    def _fetched(self, film: Film) -> bytes:
+        try:
+            return self._fetch(film.sha256, film.bytes)
+        except RemoteError as error:
+            raise RemoteError(
+                Failure(
+                    code="not_found",
+                    message=f"nobody holds the film table {film.sha256} ({error.failure.message})"[:4000],
+                    field="film",
+                    value=film.sha256,
+                    mend="ask the thin-film worker for the table again, then for this",
+                )
+            ) from error
+
+
+def warm_up(source: ExitSource, threads: int | None = None) -> None:
+    """Compile all kernels that a request can come to, or load what was compiled before."""
+    environment = Environment()
+    design = Design(distance_um=100.0, width_um=50.0, spacing_um=300.0, thickness_um=20.0, dbr_pairs=0.5)
+    line = Spectrum(peak_nm=environment.peak_nm, fwhm_nm=environment.fwhm_nm)
+    film = film_table(dbr_of(environment, design.dbr_pairs), line, Grid(wavelengths=11, tolerance_ratio=1.0))
+    cell = RayRequest(
+        environment=environment,
+        design=design,
+        histories=1,
+        far_field=True,
+        exit_histories=1,
+        images=(Camera(rows=8, columns=8, distortion=0.01, psf_um=8.0, glare=0.01),),
+    )
+    array = cell.model_copy(update={"array": ChipArray(rows=1, columns=1, wall_reflectance=0.5)})
+    for request in (cell, array, cell.model_copy(update={"stored_exits": True})):
+        simulate(request, film, source, Progress(), threads)
+
+
+def wanted_threads() -> int:
+    """Threads to compute on: LUXLOOP_THREADS, or as many as this process may use."""
+    given = os.environ.get("LUXLOOP_THREADS", "")
+    if not given:
+        return usable_threads()
+    if not given.isdecimal() or not 1 <= int(given) <= MOST_THREADS:
+        allowed, mend = f"a whole number from 1 to {MOST_THREADS}", "leave it out to use all cores"
+        raise InputError("LUXLOOP_THREADS", given, allowed, mend)
+    return int(given)
