@@ -211,6 +211,8 @@ class Scene:
         width, spacing = self.chip.width_um, self.layout.spacing_um
         within("spacing_um", spacing, 0.0, 1e6, "from chip to chip", above=True)
         within("tilt_per_um", self.tilt_per_um, -1e3, 1e3, "relative rise per um")
+        if width + CLEARANCE_UM > spacing:
+            raise InputError("width_um", width, f"below the spacing {spacing:g} um", "the chips overlap")
         if isinstance(self.layout, Array):
             reach = np.abs(self.tilt_per_um) @ (self.layout.half_x_um, self.layout.half_y_um)
             lowest *= 1.0 - float(reach)
@@ -220,8 +222,6 @@ class Scene:
         if lowest < self.chip.thickness_um + CLEARANCE_UM:
             allowed = f"above the chips, {self.chip.thickness_um + CLEARANCE_UM:g} um"
             raise InputError("distance_um", lowest, allowed, "lift the receiver or take a thinner chip")
-        if width + CLEARANCE_UM > spacing:
-            raise InputError("width_um", width, f"below the spacing {spacing:g} um", "the chips overlap")
 
     def _refuse_displaced(self, array: Array) -> None:
         room = (array.spacing_um - self.chip.width_um - CLEARANCE_UM) / 2.0

@@ -33,6 +33,8 @@ EVENTS = {
     "after_receiver": "after the receiver",
 }
 WIDTH = 28
+TRUSTED_BIAS = 0.05
+"""Above that the correction is itself uncertain."""
 
 
 def as_text(document: Mapping[str, Any]) -> str:
@@ -64,6 +66,8 @@ def _metrics(document: Mapping[str, Any]) -> Iterator[str]:
     lux, hot = metrics["mean_illuminance_lx"], metrics["hot_spot_ratio"]
     yield f"{'mean illuminance':<{WIDTH}}{lux['value']:8.0f} +- {lux['standard_error']:.0f} lx"
     yield f"{'chip centre over gap':<{WIDTH}}{hot['value']:8.3f} +- {hot['standard_error']:.3f}"
+    if abs(metrics["uniformity"]["bias"]) > TRUSTED_BIAS:
+        yield f"WARNING: too few histories: noise moved the uniformity by more than {100 * TRUSTED_BIAS:g} points"
 
 
 def _shares(document: Mapping[str, Any]) -> Iterator[str]:

@@ -33,7 +33,7 @@ log = logging.getLogger(__name__)
 TICK_S = 0.25
 ORPHAN_S = 30.0  # a task that nobody has asked about for so long is withdrawn
 QUESTIONS = ("submit", "withdraw", "status", "hello", "pull", "done")
-FINAL = ("bad_input", "too_large", "unknown_effect", "version")  # failures that another attempt would not mend
+FINAL = ("bad_input", "too_large", "unknown_effect", "not_found", "version")  # another attempt would not mend these
 
 
 class Waiting(NamedTuple):

@@ -89,11 +89,13 @@ def launched(of: Scene, position: ArrayLike, direction: ArrayLike, groups: int =
     arrays, emission = scene_arrays(of), emission_arrays(of)
     share = rays.shape[0] // groups
     for group in range(groups):
-        part = np.ascontiguousarray(rays[group * share : (group + 1) * share])
+        part = rays[group * share : (group + 1) * share]
+        part.flags.writeable = False  # as stored exits are: kernels are compiled once
         land_group(
             arrays, emission, np.uint64(seed), group, groups, 0, part, np.zeros(0, np.float32), 1.0,
             tally.sinks(group), scratch(),
         )  # fmt: skip
+    tally.ledger[:, ENDS.index("emitted")] = share
     tally.histories = share
     return tally
 

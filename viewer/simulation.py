@@ -56,7 +56,7 @@ def _cut(axes: Axes, document: Mapping[str, Any], arrays: Mapping[str, NDArray[A
         axes.axhline(extreme, color="0.4", linewidth=0.7, linestyle=":")
     axes.set_xlim(x_um[0], x_um[-1])
     low, high = float((lx - error).min()), float((lx + error).max())
-    room = 0.25 * (high - low) + 1e-3 * abs(high)
+    room = 0.25 * (high - low) + 1e-3 * abs(high) or 1.0  # where nothing shines
     axes.set_ylim(max(low - 1.6 * room, min(low, 0.0)), high + room)
     axes.set_xlabel(f"x (µm) at y = {document['cut']['y_um']:g} µm")
     axes.set_ylabel("illuminance (lx)")

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from containers.bsdf import Lambertian
 from containers.ray_tracing.arrays import ENDS, TRACE
 from containers.ray_tracing.kernel import EXIT, exits_of_group, land_group, scratch
-from containers.ray_tracing.monte_carlo import BLOCK, usable_threads
+from containers.ray_tracing.monte_carlo import BLOCK, SURVIVAL, usable_threads
 from containers.ray_tracing.packing import emission_arrays, scene_arrays
 from containers.ray_tracing.sobol import DIRECTIONS
 from containers.ray_tracing.tally import GROUPS, Tally
@@ -138,7 +138,7 @@ class Landing:
         seed: int,
         *,
         groups: int = GROUPS,
-        survival: float = 0.25,
+        survival: float = SURVIVAL,
         threads: int | None = None,
         direction_bins: tuple[int, int] = (0, 0),
     ) -> None:

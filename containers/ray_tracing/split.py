@@ -1,21 +1,20 @@
 """Expected-value splitting in the chip where light is born: an alternative to `kernel.trace_group`, for comparison.
 
-At each flight from bottom to bottom in an escape cone the share that leaves is followed at once with its expected
-weight, w P, and w (1 - P) stays in the chip; faint parts play roulette. As unbiased as the analog walk, which sends
-the whole weight out once, with probability P. benchmarks/ray_gains.py says whether it pays.
+On each flight from bottom to bottom in an escape cone w P is followed at once and w (1 - P) stays in the chip, where
+the analog walk lets all of w out with probability P; faint parts play roulette. The gain: benchmarks/ray_gains.py.
 """
 
 from __future__ import annotations
 
 from math import copysign, floor, inf
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from containers.compiled import borrowing_kernel, inlined_kernel
 from containers.ray_tracing import arrays as of
-from containers.ray_tracing.arrays import EmissionArrays, SceneArrays, Sinks
-from containers.ray_tracing.chip import FAINT, _bottom, _dim, _leave, _leaves_at, _roulette
+from containers.ray_tracing.chip import _bottom, _dim, _leave, _leaves_at, _roulette
 from containers.ray_tracing.kernel import Scratch, emit, follow, leave_chip, scramble_keys, scratch
 from containers.ray_tracing.monte_carlo import MonteCarlo
 from containers.ray_tracing.philox import FACE, Stream, draw, follow_up, start
@@ -24,14 +23,14 @@ from containers.ray_tracing.surfaces import REFLECTED, Surfaces, node_of, share
 from containers.scene import Scene
 from luxloop.errors import InputError
 
-Real = NDArray[np.float64]
+FAINT = 0.2  # of the weight at birth, below which roulette is played: dearer to follow than in the analog walk
 
 
 class SplitMonteCarlo(MonteCarlo):
-    """`MonteCarlo` whose source chips split; InputError for a scene whose chips are not unfolded."""
+    """`MonteCarlo` whose source chips split; InputError for a scene where they cannot."""
 
-    def __init__(self, scene: Scene, seed: int, *, sobol: bool = True, survival: float = 1.0, threads: int | None = None) -> None:
-        super().__init__(scene, seed, sobol=sobol, survival=survival, threads=threads)
+    def __init__(self, scene: Scene, seed: int, **options: Any) -> None:
+        super().__init__(scene, seed, **options)
         flags = self.arrays.flags
         if not flags[of.UNFOLD] or flags[of.TOP_LOSSY] or flags[of.FROM_TOP]:
             raise InputError("scene", "its chip", "clear sides, a lossless top, light born inside", "use MonteCarlo")
@@ -46,8 +45,8 @@ class SplitMonteCarlo(MonteCarlo):
 
 @borrowing_kernel
 def split_group(
-    scene: SceneArrays, emission: EmissionArrays, seed: np.uint64, group: int, groups: int, first: int, count: int,
-    sobol: bool, survival: float, directions: NDArray[np.uint64], sinks: Sinks, scratch: Scratch,
+    scene: of.SceneArrays, emission: of.EmissionArrays, seed: np.uint64, group: int, groups: int, first: int,
+    count: int, sobol: bool, survival: float, directions: NDArray[np.uint64], sinks: of.Sinks, scratch: Scratch,
 ) -> None:  # fmt: skip
     """`kernel.trace_group`, by splitting."""
     stream, ray, trace, keys, uniforms = scratch
@@ -60,55 +59,52 @@ def split_group(
 
 @borrowing_kernel
 def _split_history(
-    scene: SceneArrays, wave: int, ray: Real, stream: Stream, sinks: Sinks, survival: float, trace: Real
+    scene: of.SceneArrays, wave: int, ray: of.Real, stream: Stream, sinks: of.Sinks, survival: float, trace: of.Real
 ) -> None:
     """Walk in the source chip, flight by flight (`chip._walk_unfolded`), and follow what leaves on each of them."""
     top, alpha, n = scene.numbers[of.THICKNESS], scene.numbers[of.ABSORPTION], scene.numbers[of.INDEX + wave]
-    half, ledger, n2 = scene.numbers[of.HALF_WIDTH], sinks.ledger, n * n
+    half, ledger, surfaces, n2 = scene.numbers[of.HALF_WIDTH], sinks.ledger, scene.surfaces, n * n
     x, y, z, dx, dy, dz = ray[of.X], ray[of.Y], ray[of.Z], ray[of.DX], ray[of.DY], ray[of.DZ]
     chip_x, chip_y, weight, topped = ray[of.CHIP_X], ray[of.CHIP_Y], ray[of.WEIGHT], False
-    faint = FAINT * weight
+    faint, leaks = FAINT * weight, 1.0 - 1.0 / n2
+    first, ray[of.FIRST_FACE] = ray[of.FIRST_FACE], -1.0
     while weight > 0.0:
-        steep = dz * dz > 1.0 - 1.0 / n2
         a, b, _, _ = draw(stream, FACE, 0)
         follow_up(stream, FACE)
-        top_at = (top - z) / dz if dz > 0.0 else inf
-        bottom_at = (2.0 * top - z) / dz if dz > 0.0 else -z / dz
-        axis, stays, at = 0, 1.0, inf
-        if dx * dx > 1.0 - 1.0 / n2:
-            stays, at = _by_sides(scene.surfaces, wave, n2, x, dx, half, bottom_at, a)
-        elif dy * dy > 1.0 - 1.0 / n2:
-            axis = 1
-            stays, at = _by_sides(scene.surfaces, wave, n2, y, dy, half, bottom_at, a)
-        elif steep and dz > 0.0:
-            axis = 2
-            node, above = node_of(scene.surfaces, of.TOP_IN, wave, n2 * (1.0 - dz * dz), n2)
-            stays = share(scene.surfaces, of.TOP_IN, node, above, 0)
-            taken = stays + b * (1.0 - stays) >= share(scene.surfaces, of.TOP_IN, node, above, 1)
+        top_at, bottom_at = ((top - z) / dz, (2.0 * top - z) / dz) if dz > 0.0 else (inf, -z / dz)
+        axis, stays, at = 0 if dx * dx > leaks else 1 if dy * dy > leaks else 2, 1.0, inf
+        meets_top = axis == 2 and dz > 0.0 and dz * dz > leaks
+        if first >= 0.0 and (axis < 2 or meets_top):
+            a, b, first = first, first, -1.0
+        if axis < 2:
+            along, going = (x, dx) if axis == 0 else (y, dy)
+            stays, at = _by_sides(surfaces, wave, n2, along, going, half, bottom_at, a)
+        elif meets_top:
+            node, above = node_of(surfaces, of.TOP_IN, wave, n2 * (1.0 - dz * dz), n2)
+            stays = share(surfaces, of.TOP_IN, node, above, 0)
+            taken = stays + b * (1.0 - stays) >= share(surfaces, of.TOP_IN, node, above, 1)
             at = -top_at if taken else top_at
-        elif scene.flags[of.CLOSED] and not steep:
+        elif scene.flags[of.CLOSED] and dz * dz <= leaks:
             ledger[of.TRAPPED_END if alpha == 0.0 else of.CHIP_END] += weight
             return
         leaving = _dim(weight * (1.0 - stays), alpha * abs(at), ledger) if stays < 1.0 else 0.0
-        if 0.0 < leaving < faint:
-            leaving = _roulette(leaving, faint, stream, ledger)
+        leaving = _roulette(leaving, faint, stream, ledger) if 0.0 < leaving < faint else leaving
         if leaving > 0.0 and at < 0.0:
             ledger[of.DBR_END] += leaving
         elif leaving > 0.0:
-            after_top = at > top_at or topped
             height, going = (2.0 * top - z - dz * at, -dz) if at > top_at else (z + dz * at, dz)
-            ray[of.WEIGHT], ray[of.EVENT], ray[of.CHIP_X], ray[of.CHIP_Y] = leaving, float(of.THROUGH_TOP), chip_x, chip_y
-            _leave(ray, x + dx * at, y + dy * at, height, dx, dy, going, half, n, axis, after_top)
+            ray[of.WEIGHT], ray[of.CHIP_X], ray[of.CHIP_Y] = leaving, chip_x, chip_y
+            ray[of.EVENT] = float(of.THROUGH_TOP)
+            _leave(ray, x + dx * at, y + dy * at, height, dx, dy, going, half, n, axis, topped or at > top_at)
             leave_chip(ray, sinks)
             follow(scene, wave, ray, stream, sinks, survival, trace)
         weight, topped = _dim(weight * stays, alpha * bottom_at, ledger), topped or dz > 0.0
         x, y, z = x + dx * bottom_at, y + dy * bottom_at, 0.0
-        what, dx, dy, dz = _bottom(scene.surfaces, scene.flags[of.AIR_GAP] == 1, wave, n, dx, dy, -abs(dz), stream)
+        what, dx, dy, dz = _bottom(surfaces, scene.flags[of.AIR_GAP] == 1, wave, n, dx, dy, -abs(dz), stream)
         if what != REFLECTED:
             ledger[of.SUBSTRATE_END] += weight
             return
-        if 0.0 < weight < faint:
-            weight = _roulette(weight, faint, stream, ledger)
+        weight = _roulette(weight, faint, stream, ledger) if 0.0 < weight < faint else weight
 
 
 @inlined_kernel
@@ -117,10 +113,7 @@ def _by_sides(
 ) -> tuple[float, float]:
     """Share that no wall of this pair lets out before the bottom, and where the rest leaves (`chip._leaves_at`)."""
     node, above = node_of(surfaces, of.SIDE_IN, wave, n2 * (1.0 - dx * dx), n2)
-    wall = (floor((x + half) / (2.0 * half)) + (1.0 if dx > 0.0 else 0.0)) * 2.0 * half - half
-    hits = max(0.0, floor((bottom_at - (wall - x) / dx) * abs(dx) / (2.0 * half)) + 1.0)
+    hits = abs(floor((x + dx * bottom_at + half) / (2.0 * half)) - floor((x + half) / (2.0 * half)))
     stays = share(surfaces, of.SIDE_IN, node, above, 0) ** hits
-    if stays >= 1.0:
-        return 1.0, inf
-    at = _leaves_at(surfaces, wave, n2, x, dx, half, stays + (1.0 - stays) * u)
+    at = _leaves_at(surfaces, wave, n2, x, dx, half, stays + (1.0 - stays) * u) if stays < 1.0 else inf
     return stays, copysign(min(abs(at), bottom_at), at)

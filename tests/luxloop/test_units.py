@@ -39,11 +39,22 @@ PURE = {
     "progress_ratio": "share of a task that is done",
     "tolerance_ratio": "share of the incident power",
     "ratio": "share of a task that is done",
+    # of a camera
+    "magnification_error": "ratio of lengths",
+    "distortion": "ratio of lengths",
+    "vignetting": "share of the light",
+    "glare": "share of the light",
+    "nonlinearity": "ratio of signals",
+    "saturation_knee": "share of the full scale",
+    # of an array
+    "power": "relative to the nominal chip",
+    "wall_reflectance": "ratio of powers",
     # of a formula
     "exponent": "power of a scatter spectrum's fall",
 }
 UNIT_INSIDE = {
     "heard_s_ago": "seconds; reads as a sentence",
+    "target_error_points": "points of uniformity, of which 1 has 100",
 }
 
 

@@ -1,0 +1,171 @@
+"""Light that goes back and forth between receiver and substrate, reckoned instead of traced.
+
+What a Lambertian receiver sends back from a place comes up again spread by a kernel that depends on the distance only,
+so the endless module is solved wave by wave, and the finite one by iteration:
+
+    E(k) = E0(k) / (1 - rho_r T(k))              E <- E0 + rho_r w F^-1[T F(w E)],  w = 1 inside the module
+
+T(k) is the transform of one round trip receiver - substrate - receiver, the substrate's reflectance included:
+
+    mirror       2x K1(2x)                       x = k D: a mirror image of the place, 2 D away, seen by Lambert's law
+    Lambertian   (x K1(x))^2                     down and up again, each by Lambert's law
+    lobe         mean of J0(x |t + t'|)          t, t' = tan theta of the ways down and up
+
+Source of the first two: the transform of h^2 / (pi (r^2 + h^2)^2) is kh K1(kh). Neglected: chips (see `shadow`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from containers.bsdf import Bsdf, GaussianLobe, Lambertian, Mirror, Mixture
+from containers.ray_tracing.direct import lambertian_part
+from containers.ray_tracing.field import lambert_transform
+from containers.scene import Receiver
+from luxloop.errors import InputError
+
+Real = NDArray[np.float64]
+
+LAST_X, NODES_X = 8.0, 65
+"""Of the table of what a lobe's transform has beyond a mirror's; both are below 1e-4 at its end."""
+_SLOPES, _U = np.polynomial.legendre.leggauss(200), np.polynomial.legendre.leggauss(10)
+AZIMUTHS = 12
+TOLERANCE = 1e-6
+MOST_ITERATIONS = 500
+
+
+def round_trip(substrate: Bsdf, receiver: Receiver, x: ArrayLike, *, recorded: bool = False) -> Real:
+    """T at x = k D, in the shape of x; at x = 0 the share of the receiver's Lambert light that comes up again.
+
+    Parameters
+    ----------
+    recorded : weigh what comes up by the receiver's response to its angle.
+
+    Notes
+    -----
+    A mirror's share s of the receiver sends a part of what comes up down once more; that second arrival is included,
+    s T_2(k), a third (s^2) is not.
+    """
+    at = np.asarray(x, float)
+    response = receiver.response if recorded else np.ones(2)
+    first = sum(share * _transform(kind, sigma, at, response) for kind, sigma, share in ways_of(substrate))
+    _, followed = lambertian_part(receiver.bsdf)
+    specular = sum(share for kind, _, share in ways_of(followed) if kind is not Lambertian)
+    if specular == 0.0:
+        return np.asarray(first)
+    second = sum(a * b * _twice(kinds, at) for a, b, kinds in _pairs(substrate))
+    return np.asarray(first + specular * second * response.mean())
+
+
+def ways_of(bsdf: Bsdf) -> list[tuple[type[Bsdf], float, float]]:
+    """The parts of a surface as (kind, sigma, reflectance); InputError for one whose transform is not known."""
+    if isinstance(bsdf, Lambertian | Mirror):
+        return [(type(bsdf), 0.0, bsdf.reflectance)]
+    if isinstance(bsdf, GaussianLobe):
+        return [(GaussianLobe, bsdf.sigma_rad, bsdf.reflectance)]
+    if isinstance(bsdf, Mixture):
+        pairs = zip(bsdf.parts, bsdf.shares, strict=True)
+        return [(kind, sigma, share * part) for inner, share in pairs for kind, sigma, part in ways_of(inner)]
+    raise InputError("substrate", type(bsdf).__name__, "Lambertian, Mirror, GaussianLobe or a Mixture", "use Monte Carlo")
+
+
+def _pairs(substrate: Bsdf) -> list[tuple[float, float, tuple[bool, bool]]]:
+    ways = [(kind is Lambertian, share) for kind, _, share in ways_of(substrate)]
+    return [(a, b, (first, second)) for first, a in ways for second, b in ways]
+
+
+def _twice(lambertian: tuple[bool, bool], x: Real) -> Real:
+    """Two round trips with a mirror for a receiver in between: stretches of straight way between Lambert's scatterings."""
+    first, second = lambertian
+    stretches = [1 if first else 2] + ([2] if first and second else []) + [1 if second else 2]
+    if first != second:
+        stretches = [1, 3]
+    if not first and not second:
+        stretches = [4]
+    product = np.ones_like(x)
+    for steps in stretches:
+        product = product * lambert_transform(steps * x)
+    return product
+
+
+def _transform(kind: type[Bsdf], sigma: float, x: Real, response: Real) -> Real:
+    """Of one kind of surface without loss."""
+    flat = bool(np.ptp(response) == 0.0)
+    if kind is Lambertian:
+        last = response[0] * lambert_transform(x) if flat else _seen(x, response)
+        return np.asarray(lambert_transform(x) * last)
+    mirror = response[0] * lambert_transform(2.0 * x) if flat else _seen(2.0 * x, response)
+    if kind is Mirror:
+        return np.asarray(mirror)
+    table = lobe_table(sigma)
+    weight = float(response.mean()) if not flat else response[0]
+    return np.asarray(mirror + weight * _interpolated(x, table))
+
+
+def _seen(x: Real, response: Real) -> Real:
+    """Lambert's transform where arrivals count by their angle: x K1(x) where all count alike."""
+    share, weight = (1.0 + _SLOPES[0]) / 2.0, _SLOPES[1] / 2.0
+    cosine = np.sqrt(1.0 - share)
+    r = np.interp(cosine, np.linspace(0.0, 1.0, response.size), response)
+    waves = bessel_j0(np.multiply.outer(x, np.sqrt(share) / cosine))
+    return np.asarray(waves @ (weight * (r - r.mean())) + r.mean() * lambert_transform(x))
+
+
+@lru_cache(maxsize=32)
+def lobe_table(sigma_rad: float) -> Real:
+    """What the round trip over a lobe without loss has beyond a mirror's, at NODES_X equal steps of sqrt(x) up to LAST_X.
+
+    Notes
+    -----
+    Means of J0(x |t + t'|) - J0(2 x t) over sin^2 theta (uniform by Lambert's law), the lobe's own angle, and its
+    azimuth; the directions are `GaussianLobe`'s own, at nodes instead of random numbers. Towards grazing angles the
+    waves are finer than the nodes: each is averaged over its node's width, a factor sinc. Against 3 M random rays
+    the error is below 4e-4 for sigma up to 30 deg, below 1e-4 at 5 deg.
+    """
+    share, weight = (1.0 + _SLOPES[0]) / 2.0, _SLOPES[1] / 2.0
+    theta = np.arcsin(np.sqrt(share))
+    u, v = np.meshgrid((1.0 + _U[0]) / 2.0, (np.arange(AZIMUTHS) + 0.5) / (2.0 * AZIMUTHS), indexing="ij")
+    of_u = np.broadcast_to(_U[1][:, None] / (2.0 * AZIMUTHS), u.shape).ravel()
+    nodes = np.column_stack([u.ravel(), v.ravel(), np.zeros(u.size)])
+    lobe = GaussianLobe(1.0, sigma_rad)
+    out = lobe.sample(np.tile(nodes, (theta.size, 1)), np.repeat(theta, len(nodes))).direction
+    out = out.reshape(theta.size, len(nodes), 3)
+    up = out[..., :2] / np.maximum(out[..., 2:], 1e-9)
+    shift = np.hypot(np.tan(theta)[:, None] + up[..., 0], up[..., 1])
+    slope = np.tan(theta)
+    width = weight * (1.0 + slope**2) ** 2 / slope  # of a node in 2 tan theta
+    table = np.zeros(NODES_X)
+    for node, x in enumerate(LAST_X * np.linspace(0.0, 1.0, NODES_X)[1:] ** 2, 1):
+        waves = bessel_j0(x * shift) @ of_u - bessel_j0(2.0 * x * slope)
+        table[node] = (weight * np.sinc(x * width / (2.0 * np.pi))) @ waves
+    table.setflags(write=False)
+    return table
+
+
+def _interpolated(x: Real, table: Real) -> Real:
+    """Of a table at equal steps of sqrt(x), about which it is even, by cubics through four nodes; 0 beyond it."""
+    padded = np.concatenate([table[1:2], table, np.zeros(3)])
+    place = np.minimum(np.sqrt(x / LAST_X) * (NODES_X - 1), NODES_X + 0.0)
+    node = np.minimum(place.astype(int), NODES_X - 1)
+    t = place - node
+    a, b, c, d = (padded[node + i] for i in range(4))
+    value = b + t * ((c - a) / 2.0 + t * (a - 2.5 * b + 2.0 * c - d / 2.0 + t * (1.5 * (b - c) + (d - a) / 2.0)))
+    return np.where(x >= LAST_X, 0.0, value)
+
+
+def bessel_j0(x: ArrayLike) -> Real:
+    """J0(x) for x >= 0, to 2e-7: the mean of cos(x sin phi) below 8, Hankel's expansion above."""
+    at = np.asarray(x, float)
+    low = np.minimum(at, 8.0)
+    near = sum(np.cos(low * s) for s in np.sin((np.arange(8) + 0.5) * np.pi / 16.0)) / 8.0
+    z = 8.0 / np.maximum(at, 8.0)
+    z2 = z * z
+    p = 1.0 + z2 * (-1.098628627e-3 + z2 * (2.734510407e-5 + z2 * (-2.073370639e-6 + z2 * 2.093887211e-7)))
+    q = z * (-1.562499995e-2 + z2 * (1.430488765e-4 + z2 * (-6.911147651e-6 + z2 * 7.621095161e-7)))
+    phase = np.maximum(at, 8.0) - np.pi / 4.0
+    far = np.sqrt(2.0 / (np.pi * np.maximum(at, 8.0))) * (p * np.cos(phase) - q * np.sin(phase))
+    return np.where(at < 8.0, near, far)
