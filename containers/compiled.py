@@ -46,14 +46,15 @@ def borrowing_kernel(function: Function) -> Function:
 
 
 def inlined_kernel(function: Function) -> Function:
-    """`borrowing_kernel` that becomes part of those who call it: handing on a scene's arrays costs more than it does."""
+    """`borrowing_kernel` that becomes part of its callers: handing on the arrays would cost more than it does."""
     return _compiled(function, _nrt=False, forceinline=True)
 
 
 def _compiled(function: Function, **options: bool) -> Function:
     # numba reads this when it decorates; set as text because its settings are made at run time
     setattr(numba.config, "CACHE_DIR", _kernel_folder(Path(function.__code__.co_filename).parent))  # noqa: B010
-    return cast(Function, numba.njit(function, nogil=True, cache=True, error_model="numpy", fastmath=False, **options))
+    compiler = cast(Any, numba.njit)  # `_nrt` is not in its types
+    return cast(Function, compiler(function, nogil=True, cache=True, error_model="numpy", fastmath=False, **options))
 
 
 @cache
@@ -62,7 +63,9 @@ def _kernel_folder(folder: Path) -> str:
     if chosen := os.environ.get("NUMBA_CACHE_DIR"):
         return chosen
     sources = [(path.name, path.read_bytes()) for path in sorted(folder.glob("*.py"))]
-    digest = hashlib.sha256(repr([(name, text) for name, text in sources if b"@kernel" in text or b"_kernel\n" in text]).encode())
+    digest = hashlib.sha256(
+        repr([(name, text) for name, text in sources if b"@kernel" in text or b"_kernel\n" in text]).encode()
+    )
     chosen = os.environ.get("LUXLOOP_KERNELS")
     return str((Path(chosen) if chosen else cache_folder() / "kernels") / f"{folder.name}-{digest.hexdigest()[:12]}")
 

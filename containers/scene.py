@@ -85,7 +85,12 @@ class Emission:
         cosine = within("cosine", self.cosine, -1.0, 1.0, "from -1 to 1")
         intensity = within("intensity", self.intensity, 0.0, 1e12, "weights")
         position = within("position", self.position, 0.0, 1e12, "weights")
-        if cosine.ndim != 1 or cosine.size < 2 or cosine.shape != intensity.shape or not np.all(np.diff(cosine) > 0.0):
+        if (
+            cosine.ndim != 1
+            or cosine.size < 2
+            or cosine.shape != intensity.shape
+            or not np.all(np.diff(cosine) > 0.0)
+        ):
             raise InputError("cosine", cosine.shape, "increasing cosines, one for each intensity")
         if position.ndim != 2 or not position.sum() > 0.0 or not intensity.sum() > 0.0:
             raise InputError("position", position.shape, "weights (y, x), not all 0", "something must shine")
@@ -170,7 +175,7 @@ class Array:
         """(row, column, 2), (x, y) of every chip."""
         x, y = self.origin_um
         places = np.stack(np.meshgrid(np.arange(self.columns), np.arange(self.rows)), axis=-1) * self.spacing_um
-        return np.asarray(places + (x, y) + self.offset_um)
+        return np.asarray(places + np.array([x, y]) + self.offset_um)
 
 
 @dataclass(frozen=True)

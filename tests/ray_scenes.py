@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,8 @@ from containers.ray_tracing.packing import emission_arrays, scene_arrays
 from containers.ray_tracing.sobol import DIRECTIONS
 from containers.ray_tracing.tally import Tally
 from containers.scene import Cell, Chip, Emission, Face, Scene, lambertian_receiver
+from containers.thin_film.surface import film_bsdf
+from tests.films import film
 
 Real = NDArray[np.float64]
 Single = NDArray[np.float32]
@@ -38,6 +41,12 @@ def taking(R: float, T: float, n: float = N, beyond: float = 1.0) -> Face:
         np.array([T, T, 0.0, 0.0]), n,
     )  # fmt: skip
     return Face((inside,), (SpecularTable(np.array([0.0]), np.array([R]), np.array([T]), 1.0 / n),))
+
+
+@cache
+def film_face(pairs: float) -> Face:
+    """The paper's DBR as a face."""
+    return Face((film_bsdf(film(pairs), "inside"),), (film_bsdf(film(pairs), "outside"),))
 
 
 def chip(**changes: Any) -> Chip:

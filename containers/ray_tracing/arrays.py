@@ -30,20 +30,34 @@ TOP_IN, TOP_OUT, SIDE_IN, SIDE_OUT, BOTTOM, SUBSTRATE, RECEIVER, EDGE = range(8)
     SPREAD_SIGMA,
     INDEX,
 ) = range(14)
-"""Entries of `numbers`, the last one where the refractive indices begin: lengths in um, absorption in 1/um, tilt in 1/um, spread as share and um."""
+"""Entries of `numbers`, the last one where the refractive indices begin: lengths in um, absorption in 1/um, tilt in
+1/um, spread as share and um."""
 
-PERIODIC, ROWS, COLUMNS, WALLS, UNFOLD, AIR_GAP, CLOSED, FROM_TOP, TOP_LOSSY, RESPONSE_AT, RESPONSE, OFFSETS_AT, CONES, FLAGS = (
-    range(14)
-)
+(
+    PERIODIC,
+    ROWS,
+    COLUMNS,
+    WALLS,
+    UNFOLD,
+    AIR_GAP,
+    CLOSED,
+    FROM_TOP,
+    TOP_LOSSY,
+    RESPONSE_AT,
+    RESPONSE,
+    OFFSETS_AT,
+    CONES,
+    FLAGS,
+) = range(14)
 """Entries of `flags`: a cell that repeats; chips of a finite array; specular walls at its edge; side faces that are
 smooth and lossless, below a top that does not scatter; air below the chip; a chip bottom that neither absorbs nor
 scatters; emission from the top face into air; a top face that takes light beyond its critical angle; where the
-receiver's response begins in the tables and how many numbers it has; where the chips' displacements begin; a chip whose light
-never changes |dx|, |dy|, |dz|, so that it is born inside the escape cones only."""
+receiver's response begins in the tables and how many numbers it has; where the chips' displacements begin; a chip
+whose light never changes |dx|, |dy|, |dz|, so that it is born inside the escape cones only."""
 
 
 class SceneArrays(NamedTuple):
-    """A scene as the kernels of the ray's way read it (`packing.scene_arrays`); few arrays, for kernels hand all on."""
+    """A scene as the kernels of the ray's way read it (`packing`); few arrays, since kernels hand them on."""
 
     numbers: Real
     """Lengths and so on (see above), then the refractive index of the chip at each wavelength."""
@@ -79,7 +93,7 @@ class Sinks(NamedTuple):
     bins: Real
     """(2, y, x): weights that arrived at the receiver, for the first time and later."""
     box: Real
-    """(x0, y0, bins per um, folded, cell): where the bins lie; folded: |x|, |y| are binned; cell: no light is beside."""
+    """(x0, y0, bins per um, folded, cell): where bins lie; folded: |x|, |y| are binned; cell: no light is beside."""
     ledger: Real
     """(end,), see `ENDS`."""
     arrivals: Real
@@ -96,7 +110,7 @@ X, Y, Z, DX, DY, DZ, WEIGHT, EVENT, CHIP_X, CHIP_Y, RAY = range(11)
 """Entries of a ray: position (um), direction, weight, optical event so far, centre of the chip it is in or left."""
 
 THROUGH_TOP, FROM_SIDES, AFTER_TOP, AFTER_RECEIVER = range(4)
-"""The paper's optical events: through the DBR, directly from the sides, after reflection at the top, after the receiver."""
+"""The paper's optical events: through the DBR, directly from the sides, after the top, after the receiver."""
 
 BOTTOM_HITS, PATH, TOP_HITS, TOP_COSINES, TRACE = 0, 1, 2, 3, 7
 """Entries of what a walk in a chip notes: bottom hits, path (um), reflections at the top inside the escape cone, and

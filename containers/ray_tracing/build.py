@@ -37,9 +37,7 @@ def scene_of(environment: Environment, design: Design, film: FilmTable | None, l
     if problem is not None:
         raise InputError("design", str(design), "a module that can be built", problem)
     line = _Line(environment, film)
-    sides = Face(
-        tuple(Fresnel(n, AIR) for n in line.index), tuple(Fresnel(AIR, n) for n in line.index)
-    )
+    sides = Face(tuple(Fresnel(n, AIR) for n in line.index), tuple(Fresnel(AIR, n) for n in line.index))
     chip = Chip(
         width_um=design.width_um,
         thickness_um=design.thickness_um,
@@ -121,7 +119,8 @@ class _Line:
         chip's index; what other wavelengths would send through beyond the critical angle is reflected.
         """
         film = self._film
-        assert film is not None
+        if film is None:
+            raise ValueError("a film's faces without a film")
         if not self._sampled:
             theta = np.sort(node_angles(float(self.index[0]), side == "inside"))
             powers = powers_at(film, side, theta)

@@ -20,44 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from containers.compiled import borrowing_kernel, inlined_kernel
-from containers.ray_tracing.arrays import (
-    ABSORPTION,
-    AFTER_RECEIVER,
-    AFTER_TOP,
-    AIR_GAP,
-    BOTTOM,
-    BOTTOM_HITS,
-    CHIP_END,
-    CLOSED,
-    DBR_END,
-    DX,
-    DY,
-    DZ,
-    EVENT,
-    FROM_SIDES,
-    HALF_WIDTH,
-    INDEX,
-    PATH,
-    ROULETTE_END,
-    SIDE_IN,
-    SIDE_OUT,
-    SUBSTRATE,
-    SUBSTRATE_END,
-    THICKNESS,
-    THROUGH_TOP,
-    TOP_COSINES,
-    TOP_HITS,
-    TOP_IN,
-    TOP_LOSSY,
-    TRACE,
-    TRAPPED_END,
-    UNFOLD,
-    WEIGHT,
-    SceneArrays,
-    X,
-    Y,
-    Z,
-)
+from containers.ray_tracing import arrays as of
+from containers.ray_tracing.arrays import SceneArrays
 from containers.ray_tracing.philox import BOTTOM as BOTTOM_KIND
 from containers.ray_tracing.philox import FACE, ROULETTE, Stream, draw, follow_up
 from containers.ray_tracing.surfaces import (
@@ -85,32 +49,32 @@ ENDED, OUT = range(2)
 def walk_chip(scene: SceneArrays, wave: int, ray: Real, stream: Stream, ledger: Real, trace: Real) -> int:
     """Follow a ray, position relative to the chip's centre, until it is OUT (position at the face, direction in air)
     or ENDED (booked in `ledger`). Notes in `trace` what a change of the chip can be reckoned from."""
-    for i in range(TRACE):
+    for i in range(of.TRACE):
         trace[i] = 0.0
-    if scene.flags[UNFOLD]:
+    if scene.flags[of.UNFOLD]:
         return _walk_unfolded(scene, wave, ray, stream, ledger, trace)
     return _walk_plain(scene, wave, ray, stream, ledger, trace)
 
 
 @borrowing_kernel
 def _walk_unfolded(scene: SceneArrays, wave: int, ray: Real, stream: Stream, ledger: Real, trace: Real) -> int:
-    half, top, alpha = scene.numbers[HALF_WIDTH], scene.numbers[THICKNESS], scene.numbers[ABSORPTION]
-    surfaces, n = scene.surfaces, scene.numbers[INDEX + wave]
+    half, top, alpha = scene.numbers[of.HALF_WIDTH], scene.numbers[of.THICKNESS], scene.numbers[of.ABSORPTION]
+    surfaces, n = scene.surfaces, scene.numbers[of.INDEX + wave]
     n2 = n * n
     leaks = 1.0 - 1.0 / n2
-    lossy, air_gap = scene.flags[TOP_LOSSY] == 1, scene.flags[AIR_GAP] == 1
-    sigma, reflectance = plain_lobe(surfaces, BOTTOM)
+    lossy, air_gap = scene.flags[of.TOP_LOSSY] == 1, scene.flags[of.AIR_GAP] == 1
+    sigma, reflectance = plain_lobe(surfaces, of.BOTTOM)
     if air_gap:
         sigma = 0.0
-    x, y, z, dx, dy, dz = ray[X], ray[Y], ray[Z], ray[DX], ray[DY], ray[DZ]
-    weight, topped = ray[WEIGHT], False
+    x, y, z, dx, dy, dz = ray[of.X], ray[of.Y], ray[of.Z], ray[of.DX], ray[of.DY], ray[of.DZ]
+    weight, topped = ray[of.WEIGHT], False
     faint = FAINT * weight
     while True:
         through_x, through_y = dx * dx > leaks, dy * dy > leaks
         steep = lossy or dz * dz > leaks
         meets_top = dz > 0.0 and steep
-        if scene.flags[CLOSED] and not (through_x or through_y or steep):
-            ledger[TRAPPED_END if alpha == 0.0 else CHIP_END] += weight
+        if scene.flags[of.CLOSED] and not (through_x or through_y or steep):
+            ledger[of.TRAPPED_END if alpha == 0.0 else of.CHIP_END] += weight
             return ENDED
         leaves_at, b = inf, 0.0
         if through_x or through_y or meets_top:
@@ -126,29 +90,29 @@ def _walk_unfolded(scene: SceneArrays, wave: int, ray: Real, stream: Stream, led
             bottom_at = top_at + top / dz
             if abs(leaves_at) >= top_at:
                 if meets_top:
-                    at, above = node_of(surfaces, TOP_IN, wave, n2 * (1.0 - dz * dz), n2)
-                    R = share(surfaces, TOP_IN, at, above, 0)
+                    at, above = node_of(surfaces, of.TOP_IN, wave, n2 * (1.0 - dz * dz), n2)
+                    R = share(surfaces, of.TOP_IN, at, above, 0)
                     if b >= R:
-                        if b < share(surfaces, TOP_IN, at, above, 1):
-                            trace[PATH] += top_at
-                            ray[WEIGHT] = _dim(weight, alpha * top_at, ledger)
+                        if b < share(surfaces, of.TOP_IN, at, above, 1):
+                            trace[of.PATH] += top_at
+                            ray[of.WEIGHT] = _dim(weight, alpha * top_at, ledger)
                             x, y = x + dx * top_at, y + dy * top_at
                             _leave(ray, x, y, top, dx, dy, dz, half, n, 2, topped)
                             return OUT
-                        ledger[DBR_END] += weight
+                        ledger[of.DBR_END] += weight
                         return ENDED
-                    hits = int(trace[TOP_HITS])
-                    if hits < TRACE - TOP_COSINES:
-                        trace[TOP_COSINES + hits] = dz
-                    trace[TOP_HITS] += 1.0
+                    hits = int(trace[of.TOP_HITS])
+                    if hits < of.TRACE - of.TOP_COSINES:
+                        trace[of.TOP_COSINES + hits] = dz
+                    trace[of.TOP_HITS] += 1.0
                 topped = True
         weight = _dim(weight, alpha * min(abs(leaves_at), bottom_at), ledger)
         if abs(leaves_at) <= bottom_at:
             if leaves_at < 0.0:
-                ledger[DBR_END] += weight
+                ledger[of.DBR_END] += weight
                 return ENDED
-            trace[PATH] += leaves_at
-            ray[WEIGHT] = weight
+            trace[of.PATH] += leaves_at
+            ray[of.WEIGHT] = weight
             height = z + dz * leaves_at
             going = dz
             if height > top:
@@ -156,8 +120,8 @@ def _walk_unfolded(scene: SceneArrays, wave: int, ray: Real, stream: Stream, led
             x, y = x + dx * leaves_at, y + dy * leaves_at
             _leave(ray, x, y, height, dx, dy, going, half, n, 0 if through_x else 1, topped)
             return OUT
-        trace[PATH] += bottom_at
-        trace[BOTTOM_HITS] += 1.0
+        trace[of.PATH] += bottom_at
+        trace[of.BOTTOM_HITS] += 1.0
         x, y, z = x + dx * bottom_at, y + dy * bottom_at, 0.0
         dz = abs(dz)
         if sigma > 0.0:  # what nearly all bottoms are, without the way through `scatter`
@@ -168,7 +132,7 @@ def _walk_unfolded(scene: SceneArrays, wave: int, ray: Real, stream: Stream, led
         else:
             what, dx, dy, dz = _bottom(surfaces, air_gap, wave, n, dx, dy, -dz, stream)
         if what != REFLECTED:
-            ledger[SUBSTRATE_END] += weight
+            ledger[of.SUBSTRATE_END] += weight
             return ENDED
         if weight < faint:
             weight = _roulette(weight, faint, stream, ledger)
@@ -182,7 +146,7 @@ def _dim(weight: float, depth: float, ledger: Real) -> float:
     if depth == 0.0:
         return weight
     left = weight * exp(-depth)
-    ledger[CHIP_END] += weight - left
+    ledger[of.CHIP_END] += weight - left
     return left
 
 
@@ -192,16 +156,16 @@ def _roulette(weight: float, faint: float, stream: Stream, ledger: Real) -> floa
     u, _, _, _ = draw(stream, ROULETTE, 0)
     follow_up(stream, ROULETTE)
     kept = 2.0 * faint if u * 2.0 * faint < weight else 0.0
-    ledger[ROULETTE_END] += kept - weight
+    ledger[of.ROULETTE_END] += kept - weight
     return kept
 
 
 @inlined_kernel
 def _leaves_at(surfaces: Surfaces, wave: int, n2: float, x: float, dx: float, half: float, u: float) -> float:
     """Path to the wall hit at which a ray leaves through this pair of sides; negative: at which it is absorbed."""
-    at, above = node_of(surfaces, SIDE_IN, wave, n2 * (1.0 - dx * dx), n2)
-    R = share(surfaces, SIDE_IN, at, above, 0)
-    until = share(surfaces, SIDE_IN, at, above, 1)
+    at, above = node_of(surfaces, of.SIDE_IN, wave, n2 * (1.0 - dx * dx), n2)
+    R = share(surfaces, of.SIDE_IN, at, above, 0)
+    until = share(surfaces, of.SIDE_IN, at, above, 1)
     if R >= 1.0:
         return inf
     hits = floor(log(u) / log(R)) if R > 0.0 else 0.0
@@ -252,12 +216,10 @@ def _leave(
 
 
 @inlined_kernel
-def _put(
-    ray: Real, x: float, y: float, z: float, dx: float, dy: float, dz: float, axis: int, topped: bool
-) -> None:
-    ray[X], ray[Y], ray[Z], ray[DX], ray[DY], ray[DZ] = x, y, z, dx, dy, dz
-    if ray[EVENT] != AFTER_RECEIVER:
-        ray[EVENT] = AFTER_TOP if topped else THROUGH_TOP if axis == 2 else FROM_SIDES
+def _put(ray: Real, x: float, y: float, z: float, dx: float, dy: float, dz: float, axis: int, topped: bool) -> None:
+    ray[of.X], ray[of.Y], ray[of.Z], ray[of.DX], ray[of.DY], ray[of.DZ] = x, y, z, dx, dy, dz
+    if ray[of.EVENT] != of.AFTER_RECEIVER:
+        ray[of.EVENT] = of.AFTER_TOP if topped else of.THROUGH_TOP if axis == 2 else of.FROM_SIDES
 
 
 @borrowing_kernel
@@ -266,17 +228,17 @@ def _bottom(
 ) -> tuple[int, float, float, float]:
     """ABSORBED or REFLECTED, and the direction upwards in the chip, of a ray that meets the bottom."""
     if not air_gap:
-        what, dx, dy, dz = scatter(surfaces, BOTTOM, wave, 1.0, 1.0, dx, dy, dz, stream, BOTTOM_KIND)
+        what, dx, dy, dz = scatter(surfaces, of.BOTTOM, wave, 1.0, 1.0, dx, dy, dz, stream, BOTTOM_KIND)
         follow_up(stream, BOTTOM_KIND)
         return what, dx, dy, dz
-    what, dx, dy, dz = scatter(surfaces, SIDE_IN, wave, n, 1.0, dx, dy, dz, stream, BOTTOM_KIND)
+    what, dx, dy, dz = scatter(surfaces, of.SIDE_IN, wave, n, 1.0, dx, dy, dz, stream, BOTTOM_KIND)
     follow_up(stream, BOTTOM_KIND)
     while what == TRANSMITTED:  # in the gap, between the substrate and the chip's bottom
-        what, dx, dy, dz = scatter(surfaces, SUBSTRATE, wave, 1.0, 1.0, dx, dy, dz, stream, BOTTOM_KIND)
+        what, dx, dy, dz = scatter(surfaces, of.SUBSTRATE, wave, 1.0, 1.0, dx, dy, dz, stream, BOTTOM_KIND)
         follow_up(stream, BOTTOM_KIND)
         if what != REFLECTED:
             return ABSORBED, 0.0, 0.0, 0.0
-        what, dx, dy, dz = scatter(surfaces, SIDE_OUT, wave, 1.0, n, dx, dy, -dz, stream, BOTTOM_KIND)
+        what, dx, dy, dz = scatter(surfaces, of.SIDE_OUT, wave, 1.0, n, dx, dy, -dz, stream, BOTTOM_KIND)
         follow_up(stream, BOTTOM_KIND)
         if what == TRANSMITTED:
             return REFLECTED, dx, dy, -dz
@@ -288,9 +250,9 @@ def _bottom(
 @borrowing_kernel
 def _walk_plain(scene: SceneArrays, wave: int, ray: Real, stream: Stream, ledger: Real, trace: Real) -> int:
     """Face by face, for sides that scatter or absorb beyond the critical angle."""
-    half, top, alpha = scene.numbers[HALF_WIDTH], scene.numbers[THICKNESS], scene.numbers[ABSORPTION]
-    n, weight, topped = scene.numbers[INDEX + wave], ray[WEIGHT], False
-    x, y, z, dx, dy, dz = ray[X], ray[Y], ray[Z], ray[DX], ray[DY], ray[DZ]
+    half, top, alpha = scene.numbers[of.HALF_WIDTH], scene.numbers[of.THICKNESS], scene.numbers[of.ABSORPTION]
+    n, weight, topped = scene.numbers[of.INDEX + wave], ray[of.WEIGHT], False
+    x, y, z, dx, dy, dz = ray[of.X], ray[of.Y], ray[of.Z], ray[of.DX], ray[of.DY], ray[of.DZ]
     faint = FAINT * weight
     while True:
         to_x = ((half if dx > 0.0 else -half) - x) / dx if dx != 0.0 else inf
@@ -298,7 +260,7 @@ def _walk_plain(scene: SceneArrays, wave: int, ray: Real, stream: Stream, ledger
         to_z = ((top if dz > 0.0 else 0.0) - z) / dz if dz != 0.0 else inf
         path = min(to_x, to_y, to_z)
         weight = _dim(weight, alpha * path, ledger)
-        trace[PATH] += path
+        trace[of.PATH] += path
         if weight < faint:
             weight = _roulette(weight, faint, stream, ledger)
             if weight == 0.0:
@@ -306,27 +268,27 @@ def _walk_plain(scene: SceneArrays, wave: int, ray: Real, stream: Stream, ledger
         x, y, z = x + dx * path, y + dy * path, z + dz * path
         if path == to_z and dz < 0.0:
             z = 0.0
-            trace[BOTTOM_HITS] += 1.0
-            what, dx, dy, dz = _bottom(scene.surfaces, scene.flags[AIR_GAP] == 1, wave, n, dx, dy, dz, stream)
+            trace[of.BOTTOM_HITS] += 1.0
+            what, dx, dy, dz = _bottom(scene.surfaces, scene.flags[of.AIR_GAP] == 1, wave, n, dx, dy, dz, stream)
             if what != REFLECTED:
-                ledger[SUBSTRATE_END] += weight
+                ledger[of.SUBSTRATE_END] += weight
                 return ENDED
             continue
         # the face in surface space: the ray comes along -z of it
         if path == to_z:
             axis, sign, z = 2, 1.0, top
-            what, p, q, r = scatter(scene.surfaces, TOP_IN, wave, n, 1.0, dx, dy, -dz, stream, FACE)
+            what, p, q, r = scatter(scene.surfaces, of.TOP_IN, wave, n, 1.0, dx, dy, -dz, stream, FACE)
         elif path == to_x:
             axis, sign = 0, 1.0 if dx > 0.0 else -1.0
             x = sign * half
-            what, p, q, r = scatter(scene.surfaces, SIDE_IN, wave, n, 1.0, dy, dz, -dx * sign, stream, FACE)
+            what, p, q, r = scatter(scene.surfaces, of.SIDE_IN, wave, n, 1.0, dy, dz, -dx * sign, stream, FACE)
         else:
             axis, sign = 1, 1.0 if dy > 0.0 else -1.0
             y = sign * half
-            what, p, q, r = scatter(scene.surfaces, SIDE_IN, wave, n, 1.0, dz, dx, -dy * sign, stream, FACE)
+            what, p, q, r = scatter(scene.surfaces, of.SIDE_IN, wave, n, 1.0, dz, dx, -dy * sign, stream, FACE)
         follow_up(stream, FACE)
         if what == ABSORBED:
-            ledger[DBR_END] += weight
+            ledger[of.DBR_END] += weight
             return ENDED
         if axis == 2:
             dx, dy, dz = p, q, -r
@@ -335,7 +297,7 @@ def _walk_plain(scene: SceneArrays, wave: int, ray: Real, stream: Stream, ledger
         else:
             dx, dy, dz = q, -r * sign, p
         if what == TRANSMITTED:
-            ray[WEIGHT] = weight
+            ray[of.WEIGHT] = weight
             _put(ray, x, y, z, dx, dy, dz, axis, topped)
             return OUT
         if axis == 2:

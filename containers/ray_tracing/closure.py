@@ -32,8 +32,11 @@ Real = NDArray[np.float64]
 
 LAST_X, NODES_X = 8.0, 65
 """Of the table of what a lobe's transform has beyond a mirror's; both are below 1e-4 at its end."""
-_SLOPES, _U = np.polynomial.legendre.leggauss(200), np.polynomial.legendre.leggauss(10)
-AZIMUTHS = 12
+_SLOPES, _U = np.polynomial.legendre.leggauss(200), np.polynomial.legendre.leggauss(14)
+AZIMUTHS = 16
+_J0_NEAR = (1.0, -2.2499997, 1.2656208, -0.3163866, 0.0444479, -0.0039444, 0.0002100)
+_J0_AMPLITUDE = (0.79788456, -0.00000077, -0.00552740, -0.00009512, 0.00137237, -0.00072805, 0.00014476)
+_J0_PHASE = (-0.78539816, -0.04166397, -0.00003954, 0.00262573, -0.00054125, -0.00029333, 0.00013558)
 TOLERANCE = 1e-6
 MOST_ITERATIONS = 500
 
@@ -158,14 +161,10 @@ def _interpolated(x: Real, table: Real) -> Real:
 
 
 def bessel_j0(x: ArrayLike) -> Real:
-    """J0(x) for x >= 0, to 2e-7: the mean of cos(x sin phi) below 8, Hankel's expansion above."""
+    """J0(x) for x >= 0, to 6e-8: the polynomials 9.4.1 and 9.4.3 of Abramowitz and Stegun."""
     at = np.asarray(x, float)
-    low = np.minimum(at, 8.0)
-    near = sum(np.cos(low * s) for s in np.sin((np.arange(8) + 0.5) * np.pi / 16.0)) / 8.0
-    z = 8.0 / np.maximum(at, 8.0)
-    z2 = z * z
-    p = 1.0 + z2 * (-1.098628627e-3 + z2 * (2.734510407e-5 + z2 * (-2.073370639e-6 + z2 * 2.093887211e-7)))
-    q = z * (-1.562499995e-2 + z2 * (1.430488765e-4 + z2 * (-6.911147651e-6 + z2 * 7.621095161e-7)))
-    phase = np.maximum(at, 8.0) - np.pi / 4.0
-    far = np.sqrt(2.0 / (np.pi * np.maximum(at, 8.0))) * (p * np.cos(phase) - q * np.sin(phase))
-    return np.where(at < 8.0, near, far)
+    near = np.polynomial.polynomial.polyval((np.minimum(at, 3.0) / 3.0) ** 2, _J0_NEAR)
+    far = np.maximum(at, 3.0)
+    z = 3.0 / far
+    amplitude, phase = (np.polynomial.polynomial.polyval(z, c) for c in (_J0_AMPLITUDE, _J0_PHASE))
+    return np.asarray(np.where(at < 3.0, near, amplitude / np.sqrt(far) * np.cos(far + phase)))

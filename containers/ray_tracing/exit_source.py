@@ -58,11 +58,19 @@ class ExitSource:
             found = self._stored(key, number * BATCH)
             if found is None:
                 found = make_exits(
-                    scene, seed, BATCH * BLOCK, first_block=number * BATCH, notes=notes, threads=self._threads, report=report
+                    scene,
+                    seed,
+                    BATCH * BLOCK,
+                    first_block=number * BATCH,
+                    notes=notes,
+                    threads=self._threads,
+                    report=report,
                 )
                 self.made += 1
                 if self._store is not None:
-                    self._store.put(key, {name: getattr(found, name) for name in _ARRAYS}, {"first_block": number * BATCH})
+                    self._store.put(
+                        key, {name: getattr(found, name) for name in _ARRAYS}, {"first_block": number * BATCH}
+                    )
             self._keep(key, found)
             return found
 

@@ -12,6 +12,8 @@ import hashlib
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,9 +44,9 @@ class Exits:
     rays: Single
     """(exit, EXIT)"""
     notes: Single
-    """(exit, TRACE), what a change of the chip is reckoned from (`reweighting`); (0, TRACE): not kept."""
+    """(exit, TRACE), what a change of the chip is reckoned from (`reweighting`); (exit, 0): not kept."""
     ends: NDArray[np.int64]
-    """(group, block + 1), number in `rays` of the exit after each block of histories; the first is where it begins."""
+    """(group, block + 1), number in `rays` of the exit after each block of histories; first, where it begins."""
     ledger: Real
     """(group, block, end), what ended in the chip in each block, and what was emitted."""
     first_block: int = 0
@@ -55,20 +57,21 @@ class Exits:
     @property
     def histories(self) -> int:
         """Of each group."""
-        return BLOCK * self.ledger.shape[1]
+        return BLOCK * int(self.ledger.shape[1])
 
     @property
     def nbytes(self) -> int:
         """In memory."""
-        return self.rays.nbytes + self.notes.nbytes + self.ends.nbytes + self.ledger.nbytes
+        return int(self.rays.nbytes + self.notes.nbytes + self.ends.nbytes + self.ledger.nbytes)
 
 
 def chip_scene(scene: Scene) -> Scene:
     """The same chip, alone: what the walk inside it depends on, and nothing else."""
     layout = Cell(scene.chip.width_um * 4.0)
     receiver = Receiver(Lambertian(0.0))
-    alone = replace(scene, layout=layout, distance_um=scene.chip.thickness_um * 2.0, receiver=receiver, tilt_per_um=(0.0, 0.0))
-    return alone
+    return replace(
+        scene, layout=layout, distance_um=scene.chip.thickness_um * 2.0, receiver=receiver, tilt_per_um=(0.0, 0.0)
+    )
 
 
 def chip_key(scene: Scene) -> str:
@@ -94,38 +97,57 @@ def make_exits(
     report: Callable[[float], None] | None = None,
 ) -> Exits:
     """Exits of `histories` (a multiple of `BLOCK`) of each group, from block `first_block` on."""
-    alone = chip_scene(scene)
-    arrays, emission = scene_arrays(alone), emission_arrays(alone)
-    blocks, done = histories // BLOCK, [0]
+    blocks, done = range(first_block, first_block + histories // BLOCK), [0]
+    walk = _Walk(scene, seed, groups, notes)
 
-    def of_group(group: int) -> tuple[list[Single], list[Single], Real]:
-        rays, noted = np.zeros((BLOCK, EXIT), np.float32), np.zeros((BLOCK if notes else 0, TRACE if notes else 0), np.float32)
-        ledger, kept, kept_notes = np.zeros((blocks, len(ENDS))), [], []
-        for block in range(blocks):
-            found = exits_of_group(
-                arrays, emission, np.uint64(seed), group, groups, (first_block + block) * BLOCK, BLOCK, True, DIRECTIONS, rays, noted,
-                ledger[block], scratch(),
-            )  # fmt: skip
-            kept.append(rays[:found].copy())
-            kept_notes.append(noted[:found].copy())
+    def of_group(group: int) -> list[_Block]:
+        found = []
+        for block in blocks:
+            found.append(walk.block(group, block))
             done[0] += 1
             if report is not None:
-                report(done[0] / (blocks * groups))
-        return kept, kept_notes, ledger
+                report(done[0] / (len(blocks) * groups))
+        return found
 
     with ThreadPoolExecutor(threads or usable_threads()) as pool:
         of_groups = list(pool.map(of_group, range(groups)))
-    counts = np.array([[len(rays) for rays in kept] for kept, _, _ in of_groups], np.int64)
+    counts = np.array([[len(block.rays) for block in found] for found in of_groups], np.int64)
     last = np.cumsum(counts.ravel()).reshape(counts.shape)
-    together = np.concatenate([rays for kept, _, _ in of_groups for rays in kept])
-    together.flags.writeable = False  # as those that come out of a file: kernels are compiled once
+    rays = np.concatenate([block.rays for found in of_groups for block in found])
+    rays.flags.writeable = False  # as those that come out of a file: kernels are compiled once
     return Exits(
-        rays=together,
-        notes=np.concatenate([noted for _, kept, _ in of_groups for noted in kept]) if notes else np.zeros((0, TRACE), np.float32),
+        rays=rays,
+        notes=np.concatenate([block.notes for found in of_groups for block in found]),
         ends=np.concatenate([(last[:, :1] - counts[:, :1]), last], axis=1),
-        ledger=np.stack([ledger for _, _, ledger in of_groups]),
+        ledger=np.array([[block.ledger for block in found] for found in of_groups]),
         first_block=first_block,
     )
+
+
+class _Block(NamedTuple):
+    """What one block of one group's histories leaves."""
+
+    rays: Single
+    notes: Single
+    ledger: Real
+
+
+class _Walk:
+    """The walk inside the chip of a scene, block by block."""
+
+    def __init__(self, scene: Scene, seed: int, groups: int, notes: bool) -> None:
+        alone = chip_scene(scene)
+        self._arrays, self._emission = scene_arrays(alone), emission_arrays(alone)
+        self._seed, self._groups, self._notes = np.uint64(seed), groups, TRACE if notes else 0
+
+    def block(self, group: int, block: int) -> _Block:
+        rays, notes = np.zeros((BLOCK, EXIT), np.float32), np.zeros((BLOCK, self._notes), np.float32)
+        ledger = np.zeros(len(ENDS))
+        found = exits_of_group(
+            self._arrays, self._emission, self._seed, group, self._groups, block * BLOCK, BLOCK, True, DIRECTIONS,
+            rays, notes, ledger, scratch(),
+        )  # fmt: skip
+        return _Block(rays[:found].copy(), notes[:found].copy(), ledger)
 
 
 class Landing:
@@ -161,11 +183,11 @@ class Landing:
                 blocks = range(here, min(exits.ledger.shape[1], here + (histories - self.tally.histories) // BLOCK))
                 if not blocks:
                     raise InputError("exits", exits.histories, f"{histories} histories of each group", "store more")
-                list(pool.map(lambda group: self._land(group, exits, blocks), range(self.tally.groups)))
+                list(pool.map(partial(self._land, exits, blocks), range(self.tally.groups)))
                 self.tally.histories += BLOCK * len(blocks)
         return self.tally
 
-    def _land(self, group: int, exits: Exits, blocks: range) -> None:
+    def _land(self, exits: Exits, blocks: range, group: int) -> None:
         ends = exits.ends[group]
         own = slice(ends[blocks.start], ends[blocks.stop])
         begin = exits.first_block * BLOCK + int(ends[blocks.start] - ends[0])

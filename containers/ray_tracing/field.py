@@ -279,7 +279,7 @@ class ModuleField(Field):
 
     @classmethod
     def from_bins(
-        cls, bins: ArrayLike, histories_per_chip: int, box_um: tuple[float, float, float, float], height_um: float
+        cls, bins: ArrayLike, histories_per_chip: float, box_um: tuple[float, float, float, float], height_um: float
     ) -> Self:
         """The field of a tally's bins.
 
@@ -313,7 +313,7 @@ class ModuleField(Field):
         coefficients = _coefficients(tally, x, y, weight)
         at = np.linspace(CUTOFF_X, CUTOFF_X + 30.0, 601)
         bound = float(np.sum(lambert_transform(at) * at) * 0.05 / (2.0 * np.pi)) / (1e-6 * height_um**2)
-        return cls(coefficients, x, y, histories_per_chip * len(tally), bound, per_m2=1e6)
+        return cls(coefficients, x, y, round(histories_per_chip * len(tally)), bound, per_m2=1e6)
 
 
 def _coefficients(values: Real, x: Axis, y: Axis, weight: Real) -> Real:
@@ -355,7 +355,7 @@ def _left_out(modes: int, x_per_mode: float) -> float:
     return float(lambert_transform(np.sqrt(squares) * x_per_mode) @ times[squares])
 
 
-def _tally(bins: ArrayLike, histories: int) -> Real:
+def _tally(bins: ArrayLike, histories: float) -> Real:
     """Bins as (group, y, x), checked."""
     tally = np.asarray(bins, float)
     if tally.ndim != 3 or len(tally) < 2 or not tally.size:

@@ -13,43 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from containers.compiled import borrowing_kernel, inlined_kernel
-from containers.ray_tracing.arrays import (
-    ABSORPTION,
-    AFTER_RECEIVER,
-    BOTTOM,
-    CHIP_END,
-    CHIP_X,
-    CHIP_Y,
-    CLOSED,
-    CONES,
-    DISTANCE,
-    DX,
-    DY,
-    DZ,
-    EMITTED,
-    EVENT,
-    FROM_TOP,
-    HALF_WIDTH,
-    INDEX,
-    RAY,
-    SUBSTRATE_END,
-    THICKNESS,
-    THROUGH_TOP,
-    TRACE,
-    TRAPPED_END,
-    WEIGHT,
-    EmissionArrays,
-    SceneArrays,
-    Sinks,
-    X,
-    Y,
-    Z,
-)
+from containers.ray_tracing import arrays as of
+from containers.ray_tracing.arrays import EmissionArrays, SceneArrays, Sinks
 from containers.ray_tracing.chip import OUT, walk_chip
 from containers.ray_tracing.module import INTO_CHIP, clear_way, note_direction, receive, walk_module
 from containers.ray_tracing.philox import CHIP, EMISSION, STREAM_WORDS, Stream, draw, philox4x32, start
-from containers.ray_tracing.surfaces import albedo
 from containers.ray_tracing.sobol import DIMENSIONS, point
+from containers.ray_tracing.surfaces import albedo
 
 Real = NDArray[np.float64]
 EVENT_OF_EXIT, WAVE_OF_EXIT, WEIGHT_OF_EXIT, EXIT = 6, 7, 8, 9
@@ -72,8 +42,8 @@ def scratch() -> Scratch:
     """A thread's own."""
     return Scratch(
         np.zeros(STREAM_WORDS, np.uint64),
-        np.zeros(RAY),
-        np.zeros(TRACE),
+        np.zeros(of.RAY),
+        np.zeros(of.TRACE),
         np.zeros(DIMENSIONS, np.uint64),
         np.zeros(DIMENSIONS),
     )
@@ -100,9 +70,8 @@ def trace_group(
     for place in range(first, first + count):
         start(stream, seed, np.uint64(place) * np.uint64(groups) + np.uint64(group))
         wave = emit(scene, emission, stream, place, sobol, directions, keys, uniforms, ray, sinks.ledger)
-        if not scene.flags[FROM_TOP]:
-            if walk_chip(scene, wave, ray, stream, sinks.ledger, trace) != OUT:
-                continue
+        if not scene.flags[of.FROM_TOP] and walk_chip(scene, wave, ray, stream, sinks.ledger, trace) != OUT:
+            continue
         leave_chip(ray, sinks)
         follow(scene, wave, ray, stream, sinks, survival, trace)
 
@@ -131,12 +100,12 @@ def exits_of_group(
     for place in range(first, first + count):
         start(stream, seed, np.uint64(place) * np.uint64(groups) + np.uint64(group))
         wave = emit(scene, emission, stream, place, sobol, directions, keys, uniforms, ray, ledger)
-        if not scene.flags[FROM_TOP] and walk_chip(scene, wave, ray, stream, ledger, trace) != OUT:
+        if not scene.flags[of.FROM_TOP] and walk_chip(scene, wave, ray, stream, ledger, trace) != OUT:
             continue
         for i in range(EVENT_OF_EXIT):
             rays[found, i] = ray[i]
-        rays[found, EVENT_OF_EXIT], rays[found, WAVE_OF_EXIT] = ray[EVENT], wave
-        rays[found, WEIGHT_OF_EXIT] = ray[WEIGHT]
+        rays[found, EVENT_OF_EXIT], rays[found, WAVE_OF_EXIT] = ray[of.EVENT], wave
+        rays[found, WEIGHT_OF_EXIT] = ray[of.WEIGHT]
         for i in range(notes.shape[1]):
             notes[found, i] = trace[i]
         found += 1
@@ -166,20 +135,20 @@ def land_group(
         start(stream, seed, np.uint64(first + number) * np.uint64(groups) + np.uint64(group))
         for i in range(EVENT_OF_EXIT):
             ray[i] = rays[number, i]
-        ray[EVENT] = rays[number, EVENT_OF_EXIT]
-        length = 1.0 / sqrt(ray[DX] * ray[DX] + ray[DY] * ray[DY] + ray[DZ] * ray[DZ])
-        ray[DX], ray[DY], ray[DZ] = ray[DX] * length, ray[DY] * length, ray[DZ] * length
-        ray[CHIP_X], ray[CHIP_Y] = emission.centres_um[0, 0], emission.centres_um[0, 1]
+        ray[of.EVENT] = rays[number, EVENT_OF_EXIT]
+        length = 1.0 / sqrt(ray[of.DX] * ray[of.DX] + ray[of.DY] * ray[of.DY] + ray[of.DZ] * ray[of.DZ])
+        ray[of.DX], ray[of.DY], ray[of.DZ] = ray[of.DX] * length, ray[of.DY] * length, ray[of.DZ] * length
+        ray[of.CHIP_X], ray[of.CHIP_Y] = emission.centres_um[0, 0], emission.centres_um[0, 1]
         if emission.chip_cumulative.size > 1:
             u, _, _, _ = draw(stream, CHIP, 0)
             _choose_chip(emission, u, ray)
-        ray[WEIGHT] = rays[number, WEIGHT_OF_EXIT] * (weights[number] if weights.size > 0 else 1.0)
+        ray[of.WEIGHT] = rays[number, WEIGHT_OF_EXIT] * (weights[number] if weights.size > 0 else 1.0)
         wave, path = int(rays[number, WAVE_OF_EXIT]), clear_way(scene, ray)
         leave_chip(ray, sinks)
         if path > 0.0:
-            ray[X] += path * ray[DX]
-            ray[Y] += path * ray[DY]
-            ray[Z] = scene.numbers[DISTANCE]
+            ray[of.X] += path * ray[of.DX]
+            ray[of.Y] += path * ray[of.DY]
+            ray[of.Z] = scene.numbers[of.DISTANCE]
             if not receive(scene, wave, ray, stream, sinks, survival):
                 continue
         follow(scene, wave, ray, stream, sinks, survival, trace)
@@ -199,19 +168,17 @@ def follow(
 @inlined_kernel
 def leave_chip(ray: Real, sinks: Sinks) -> None:
     """From positions relative to the chip to the module's; notes the direction of light not yet back from above."""
-    if sinks.directions.shape[1] > 0 and ray[EVENT] != AFTER_RECEIVER:
-        note_direction(sinks.directions, 0, ray[DX], ray[DY], ray[DZ], ray[WEIGHT])
-    ray[X] += ray[CHIP_X]
-    ray[Y] += ray[CHIP_Y]
+    if sinks.directions.shape[1] > 0 and ray[of.EVENT] != of.AFTER_RECEIVER:
+        note_direction(sinks.directions, 0, ray[of.DX], ray[of.DY], ray[of.DZ], ray[of.WEIGHT])
+    ray[of.X] += ray[of.CHIP_X]
+    ray[of.Y] += ray[of.CHIP_Y]
 
 
 @borrowing_kernel
 def scramble_keys(seed: np.uint64, group: int, keys: NDArray[np.uint64]) -> None:
     """The keys of a group's own Sobol sequence, (dimension,)."""
     for dimension in range(keys.size):
-        keys[dimension], _, _, _ = philox4x32(
-            np.uint64(group), np.uint64(dimension), np.uint64(0), _SOBOL_KEY, seed
-        )
+        keys[dimension], _, _, _ = philox4x32(np.uint64(group), np.uint64(dimension), np.uint64(0), _SOBOL_KEY, seed)
 
 
 @inlined_kernel
@@ -240,29 +207,29 @@ def emit(
         wave += 1
     _place(scene, emission, uniforms, ray)
     _choose_chip(emission, other, ray)
-    ray[WEIGHT], ray[EVENT] = 1.0, float(THROUGH_TOP)
-    ledger[EMITTED] += 1.0
-    if scene.flags[CONES]:
-        _into_cones(emission, scene.numbers[INDEX + wave], uniforms, ray)
+    ray[of.WEIGHT], ray[of.EVENT] = 1.0, float(of.THROUGH_TOP)
+    ledger[of.EMITTED] += 1.0
+    if scene.flags[of.CONES]:
+        _into_cones(emission, scene.numbers[of.INDEX + wave], uniforms, ray)
         _book_trapped(scene, emission, wave, stream, ray, ledger)
     return wave
 
 
 @inlined_kernel
 def _place(scene: SceneArrays, emission: EmissionArrays, uniforms: Real, ray: Real) -> None:
-    width = 2.0 * scene.numbers[HALF_WIDTH]
+    width = 2.0 * scene.numbers[of.HALF_WIDTH]
     cosine = _quantile(emission.cosine_quantiles, uniforms[0])
-    if scene.flags[FROM_TOP]:
+    if scene.flags[of.FROM_TOP]:
         cosine = sqrt(uniforms[0])
     sine, phi = sqrt(max(0.0, 1.0 - cosine * cosine)), 2.0 * pi * uniforms[1]
-    ray[DX], ray[DY], ray[DZ] = sine * np.cos(phi), sine * np.sin(phi), cosine
+    ray[of.DX], ray[of.DY], ray[of.DZ] = sine * np.cos(phi), sine * np.sin(phi), cosine
     rows = emission.row_cumulative
     row, up = _cell(rows, uniforms[3])
     column, right = _cell(emission.column_cumulative[row], uniforms[2])
-    ray[X] = ((column + right) / (emission.column_cumulative.shape[1] - 1) - 0.5) * width
-    ray[Y] = ((row + up) / (rows.size - 1) - 0.5) * width
-    ray[Z] = scene.numbers[THICKNESS] * (
-        1.0 if scene.flags[FROM_TOP] else _quantile(emission.height_quantiles, uniforms[4])
+    ray[of.X] = ((column + right) / (emission.column_cumulative.shape[1] - 1) - 0.5) * width
+    ray[of.Y] = ((row + up) / (rows.size - 1) - 0.5) * width
+    ray[of.Z] = scene.numbers[of.THICKNESS] * (
+        1.0 if scene.flags[of.FROM_TOP] else _quantile(emission.height_quantiles, uniforms[4])
     )
 
 
@@ -276,11 +243,11 @@ def _into_cones(emission: EmissionArrays, n: float, uniforms: Real, ray: Real) -
     if axis & 1:
         along = -along
     p, q = across * np.cos(phi), across * np.sin(phi)
-    ray[DX], ray[DY], ray[DZ] = (along, p, q) if axis < 2 else (q, along, p) if axis < 4 else (p, q, along)
-    place = (ray[DZ] + 1.0) * 0.5 * (emission.intensity.size - 1)
+    ray[of.DX], ray[of.DY], ray[of.DZ] = (along, p, q) if axis < 2 else (q, along, p) if axis < 4 else (p, q, along)
+    place = (ray[of.DZ] + 1.0) * 0.5 * (emission.intensity.size - 1)
     node = min(int(place), emission.intensity.size - 2)
     here = emission.intensity[node]
-    ray[WEIGHT] = (here + (place - node) * (emission.intensity[node + 1] - here)) * 12.0 * pi * solid
+    ray[of.WEIGHT] = (here + (place - node) * (emission.intensity[node + 1] - here)) * 12.0 * pi * solid
 
 
 @borrowing_kernel
@@ -292,10 +259,10 @@ def _book_trapped(
     1 - weight of it, on average over histories; the shares are those of one such direction: with e the light left
     after a round trip and r the mirror's reflectance they are sums of geometric series.
     """
-    n, alpha, top = scene.numbers[INDEX + wave], scene.numbers[ABSORPTION], scene.numbers[THICKNESS]
-    trapped = 1.0 - ray[WEIGHT]
-    if scene.flags[CLOSED]:
-        ledger[TRAPPED_END if alpha == 0.0 else CHIP_END] += trapped
+    n, alpha, top = scene.numbers[of.INDEX + wave], scene.numbers[of.ABSORPTION], scene.numbers[of.THICKNESS]
+    trapped = 1.0 - ray[of.WEIGHT]
+    if scene.flags[of.CLOSED]:
+        ledger[of.TRAPPED_END if alpha == 0.0 else of.CHIP_END] += trapped
         return
     inside = sqrt(1.0 - 1.0 / (n * n))
     cosine = 0.5
@@ -306,11 +273,11 @@ def _book_trapped(
         if max(abs(tried), abs(sine * np.cos(phi)), abs(sine * np.sin(phi))) < inside:
             cosine = tried
             break
-    first = ray[Z] if cosine < 0.0 else 2.0 * top - ray[Z]
-    r = albedo(scene.surfaces, BOTTOM, wave, 1.0)
+    first = ray[of.Z] if cosine < 0.0 else 2.0 * top - ray[of.Z]
+    r = albedo(scene.surfaces, of.BOTTOM, wave, 1.0)
     start, e = np.exp(-alpha * first / abs(cosine)), np.exp(-alpha * 2.0 * top / abs(cosine))
-    ledger[CHIP_END] += trapped * (1.0 - start + start * r * (1.0 - e) / (1.0 - e * r))
-    ledger[SUBSTRATE_END] += trapped * start * (1.0 - r) / (1.0 - e * r)
+    ledger[of.CHIP_END] += trapped * (1.0 - start + start * r * (1.0 - e) / (1.0 - e * r))
+    ledger[of.SUBSTRATE_END] += trapped * start * (1.0 - r) / (1.0 - e * r)
 
 
 @inlined_kernel
@@ -319,7 +286,7 @@ def _choose_chip(emission: EmissionArrays, u: float, ray: Real) -> None:
     chip = 0
     while chip < emission.chip_cumulative.size - 1 and u >= emission.chip_cumulative[chip]:
         chip += 1
-    ray[CHIP_X], ray[CHIP_Y] = emission.centres_um[chip, 0], emission.centres_um[chip, 1]
+    ray[of.CHIP_X], ray[of.CHIP_Y] = emission.centres_um[chip, 0], emission.centres_um[chip, 1]
 
 
 @inlined_kernel
@@ -327,7 +294,7 @@ def _quantile(quantiles: Real, u: float) -> float:
     """The value below which a share u lies."""
     at = u * (quantiles.size - 1)
     node = min(int(at), quantiles.size - 2)
-    return quantiles[node] + (at - node) * (quantiles[node + 1] - quantiles[node])
+    return float(quantiles[node] + (at - node) * (quantiles[node + 1] - quantiles[node]))
 
 
 @inlined_kernel

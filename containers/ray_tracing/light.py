@@ -37,14 +37,12 @@ def light_of(tally: Tally, scene: Scene) -> Field:
     if isinstance(scene.layout, Array):
         box = tally.box
         ends = (box.x0_um, box.x0_um + box.columns * box.step_um, box.y0_um, box.y0_um + box.rows * box.step_um)
-        histories = tally.histories / float(scene.layout.power.sum())
+        histories = tally.total_histories / tally.groups / float(scene.layout.power.sum())
         return ModuleField.from_bins(tally.cell_bins(), histories, ends, scene.height_um)
     spacing, height = scene.layout.spacing_um, scene.height_um
     modes = max(FEWEST_MODES, round(MORE_MODES * mode_count(height, spacing)))
     first, later = (
-        CellField.from_bins(
-            tally.cell_bins(layer), tally.histories, spacing, height, modes, folded=tally.box.folded
-        )
+        CellField.from_bins(tally.cell_bins(layer), tally.histories, spacing, height, modes, folded=tally.box.folded)
         for layer in (FIRST, LATER)
     )
     coefficients = _weighed(first, _share_of_first(first)) + _weighed(later, _share_of_later(later, scene))

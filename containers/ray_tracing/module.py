@@ -1,9 +1,9 @@
 """The way of a ray outside the chips: to the receiver, the substrate, a chip or the edge; as kernels.
 
-    z = D  ─────────────────────────────────── receiver: every arrival is recorded
-              what starts at the substrate or at a chip goes up, past the other chips
-    z = T        ┌────┐ <- chips are looked for below T only, cell by cell of the lattice
-    z = 0  ──────┴────┴─────────────────────── substrate
+z = D  ─────────────────────────────────── receiver: every arrival is recorded
+          what starts at the substrate or at a chip goes up, past the other chips
+z = T        ┌────┐ <- chips are looked for below T only, cell by cell of the lattice
+z = 0  ──────┴────┴─────────────────────── substrate
 """
 
 from __future__ import annotations
@@ -14,51 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from containers.compiled import borrowing_kernel, inlined_kernel
-from containers.ray_tracing.arrays import (
-    AFTER_RECEIVER,
-    CHIP_X,
-    CHIP_Y,
-    COLUMNS,
-    DBR_END,
-    DISTANCE,
-    DX,
-    DY,
-    DZ,
-    EDGE,
-    EDGE_END,
-    EVENT,
-    HALF_WIDTH,
-    HALF_X,
-    HALF_Y,
-    INDEX,
-    OFFSETS_AT,
-    ORIGIN_X,
-    ORIGIN_Y,
-    PERIODIC,
-    RECEIVER,
-    RECEIVER_END,
-    RESPONSE,
-    RESPONSE_AT,
-    ROULETTE_END,
-    ROWS,
-    SIDE_OUT,
-    SPACING,
-    SPREAD_SHARE,
-    SPREAD_SIGMA,
-    SUBSTRATE,
-    SUBSTRATE_END,
-    THICKNESS,
-    TILT_X,
-    TILT_Y,
-    TOP_OUT,
-    WALLS,
-    WEIGHT,
-    SceneArrays,
-    Sinks,
-    X,
-    Y,
-    Z,
-)
+from containers.ray_tracing import arrays as of
+from containers.ray_tracing.arrays import SceneArrays, Sinks
 from containers.ray_tracing.philox import EDGE as EDGE_KIND
 from containers.ray_tracing.philox import ENTRY, PLATE, ROULETTE, Stream, draw, follow_up
 from containers.ray_tracing.philox import RECEIVER as RECEIVER_KIND
@@ -79,37 +36,36 @@ _TOUCH_UM = 1e-9
 
 
 @borrowing_kernel
-def walk_module(
-    scene: SceneArrays, wave: int, ray: Real, stream: Stream, sinks: Sinks, survival: float
-) -> int:
-    """Follow a ray (module coordinates, outside all chips) until it goes INTO_CHIP (then relative to its centre) or is
-    LOST. What the receiver sends back goes on with probability `survival`, its weight raised to match."""
+def walk_module(scene: SceneArrays, wave: int, ray: Real, stream: Stream, sinks: Sinks, survival: float) -> int:
+    """Follow a ray (module coordinates, outside all chips) until it goes INTO_CHIP (then relative to its centre) or
+    is LOST. What the receiver sends back goes on with probability `survival`, its weight raised to match."""
     while True:
         what, path = _next(scene, ray)
-        dx, dy, dz = ray[DX], ray[DY], ray[DZ]
-        ray[X] += dx * path
-        ray[Y] += dy * path
-        ray[Z] += dz * path
-        weight = ray[WEIGHT]
+        dx, dy, dz = ray[of.DX], ray[of.DY], ray[of.DZ]
+        ray[of.X] += dx * path
+        ray[of.Y] += dy * path
+        ray[of.Z] += dz * path
+        weight = ray[of.WEIGHT]
         if what == _RECEIVER:
             if not receive(scene, wave, ray, stream, sinks, survival):
                 return LOST
         elif what == _SUBSTRATE:
-            fate, dx, dy, dz = scatter(scene.surfaces, SUBSTRATE, wave, 1.0, 1.0, dx, dy, dz, stream, SUBSTRATE_KIND)
+            surfaces = scene.surfaces
+            fate, dx, dy, dz = scatter(surfaces, of.SUBSTRATE, wave, 1.0, 1.0, dx, dy, dz, stream, SUBSTRATE_KIND)
             follow_up(stream, SUBSTRATE_KIND)
             if fate != REFLECTED:
-                sinks.ledger[SUBSTRATE_END] += weight
+                sinks.ledger[of.SUBSTRATE_END] += weight
                 return LOST
-            ray[Z], ray[DX], ray[DY], ray[DZ] = 0.0, dx, dy, dz
+            ray[of.Z], ray[of.DX], ray[of.DY], ray[of.DZ] = 0.0, dx, dy, dz
         elif what >= _CHIP_X:
             fate = _enter(scene, wave, ray, stream, what)
             if fate == TRANSMITTED:
                 return INTO_CHIP
             if fate == ABSORBED:
-                sinks.ledger[DBR_END] += weight
+                sinks.ledger[of.DBR_END] += weight
                 return LOST
         elif not _edge(scene, wave, ray, stream, sinks, what):
-            sinks.ledger[EDGE_END] += weight
+            sinks.ledger[of.EDGE_END] += weight
             return LOST
 
 
@@ -117,19 +73,19 @@ def walk_module(
 def _next(scene: SceneArrays, ray: Real) -> tuple[int, float]:
     """What a ray meets next, and the path to it; where it meets a chip, CHIP_X and CHIP_Y of the ray name it."""
     numbers = scene.numbers
-    x, y, z, dx, dy, dz = ray[X], ray[Y], ray[Z], ray[DX], ray[DY], ray[DZ]
-    top = numbers[THICKNESS]
-    tilt_x, tilt_y = numbers[TILT_X], numbers[TILT_Y]
-    distance = numbers[DISTANCE]
+    x, y, z, dx, dy, dz = ray[of.X], ray[of.Y], ray[of.Z], ray[of.DX], ray[of.DY], ray[of.DZ]
+    top = numbers[of.THICKNESS]
+    tilt_x, tilt_y = numbers[of.TILT_X], numbers[of.TILT_Y]
+    distance = numbers[of.DISTANCE]
     rise = dz - distance * (tilt_x * dx + tilt_y * dy)
     what, path = _NOTHING, inf
     if rise > 0.0:
         what, path = _RECEIVER, max(0.0, (distance * (1.0 + tilt_x * x + tilt_y * y) - z) / rise)
     if dz < 0.0 and -z / dz < path:
         what, path = _SUBSTRATE, -z / dz
-    if not scene.flags[PERIODIC]:
-        to_x = ((numbers[HALF_X] if dx > 0.0 else -numbers[HALF_X]) - x) / dx if dx != 0.0 else inf
-        to_y = ((numbers[HALF_Y] if dy > 0.0 else -numbers[HALF_Y]) - y) / dy if dy != 0.0 else inf
+    if not scene.flags[of.PERIODIC]:
+        to_x = ((numbers[of.HALF_X] if dx > 0.0 else -numbers[of.HALF_X]) - x) / dx if dx != 0.0 else inf
+        to_y = ((numbers[of.HALF_Y] if dy > 0.0 else -numbers[of.HALF_Y]) - y) / dy if dy != 0.0 else inf
         if to_x < path:
             what, path = _EDGE_X, to_x
         if to_y < path:
@@ -155,28 +111,26 @@ def _next(scene: SceneArrays, ray: Real) -> tuple[int, float]:
 def _find_chip(scene: SceneArrays, ray: Real, begin: float, end: float, from_above: bool) -> tuple[int, float]:
     """The first chip that a ray meets between two paths, both below z = T; cell by cell of the lattice."""
     numbers = scene.numbers
-    spacing, half = numbers[SPACING], numbers[HALF_WIDTH]
-    x, y, dx, dy = ray[X] - numbers[ORIGIN_X], ray[Y] - numbers[ORIGIN_Y], ray[DX], ray[DY]
+    spacing, half = numbers[of.SPACING], numbers[of.HALF_WIDTH]
+    x, y, dx, dy = ray[of.X] - numbers[of.ORIGIN_X], ray[of.Y] - numbers[of.ORIGIN_Y], ray[of.DX], ray[of.DY]
     inverse_x, inverse_y = 1.0 / dx if dx != 0.0 else 1e300, 1.0 / dy if dy != 0.0 else 1e300
     column, row = floor((x + dx * begin) / spacing + 0.5), floor((y + dy * begin) / spacing + 0.5)
-    periodic = scene.flags[PERIODIC] == 1
-    rows, columns = scene.flags[ROWS], scene.flags[COLUMNS]
+    periodic = scene.flags[of.PERIODIC] == 1
+    rows, columns = scene.flags[of.ROWS], scene.flags[of.COLUMNS]
     here = begin
     while True:
         if periodic or (0.0 <= column < columns and 0.0 <= row < rows):
             offset_x, offset_y = 0.0, 0.0
             if not periodic:
-                at = scene.flags[OFFSETS_AT] + 2 * (int(row) * columns + int(column))
+                at = scene.flags[of.OFFSETS_AT] + 2 * (int(row) * columns + int(column))
                 offset_x, offset_y = scene.surfaces.tables[at], scene.surfaces.tables[at + 1]
             centre_x, centre_y = column * spacing + offset_x, row * spacing + offset_y
             a, b = (centre_x - half - x) * inverse_x, (centre_x + half - x) * inverse_x
             c, d = (centre_y - half - y) * inverse_y, (centre_y + half - y) * inverse_y
             enter_x, enter_y = min(a, b), min(c, d)
             enter = max(enter_x, enter_y, begin)
-            if min(max(a, b), max(c, d), end) - enter > _TOUCH_UM and (
-                enter > begin or from_above
-            ):
-                ray[CHIP_X], ray[CHIP_Y] = centre_x + numbers[ORIGIN_X], centre_y + numbers[ORIGIN_Y]
+            if min(max(a, b), max(c, d), end) - enter > _TOUCH_UM and (enter > begin or from_above):
+                ray[of.CHIP_X], ray[of.CHIP_Y] = centre_x + numbers[of.ORIGIN_X], centre_y + numbers[of.ORIGIN_Y]
                 if enter == begin:
                     return _CHIP_TOP, enter
                 return (_CHIP_X, enter) if enter == enter_x else (_CHIP_Y, enter)
@@ -194,26 +148,26 @@ def _find_chip(scene: SceneArrays, ray: Real, begin: float, end: float, from_abo
 @borrowing_kernel
 def _enter(scene: SceneArrays, wave: int, ray: Real, stream: Stream, face: int) -> int:
     """What becomes of a ray at a chip's face: TRANSMITTED into it (position then relative to it), or REFLECTED."""
-    n = scene.numbers[INDEX + wave]
-    dx, dy, dz = ray[DX], ray[DY], ray[DZ]
+    n = scene.numbers[of.INDEX + wave]
+    dx, dy, dz = ray[of.DX], ray[of.DY], ray[of.DZ]
     if face == _CHIP_TOP:
-        ray[Z] = scene.numbers[THICKNESS]
-        fate, dx, dy, dz = scatter(scene.surfaces, TOP_OUT, wave, 1.0, n, dx, dy, dz, stream, ENTRY)
+        ray[of.Z] = scene.numbers[of.THICKNESS]
+        fate, dx, dy, dz = scatter(scene.surfaces, of.TOP_OUT, wave, 1.0, n, dx, dy, dz, stream, ENTRY)
     elif face == _CHIP_X:
         sign = 1.0 if dx > 0.0 else -1.0
-        ray[X] = ray[CHIP_X] - sign * scene.numbers[HALF_WIDTH]
-        fate, dy, dz, out = scatter(scene.surfaces, SIDE_OUT, wave, 1.0, n, dy, dz, -dx * sign, stream, ENTRY)
+        ray[of.X] = ray[of.CHIP_X] - sign * scene.numbers[of.HALF_WIDTH]
+        fate, dy, dz, out = scatter(scene.surfaces, of.SIDE_OUT, wave, 1.0, n, dy, dz, -dx * sign, stream, ENTRY)
         dx = -out * sign
     else:
         sign = 1.0 if dy > 0.0 else -1.0
-        ray[Y] = ray[CHIP_Y] - sign * scene.numbers[HALF_WIDTH]
-        fate, dz, dx, out = scatter(scene.surfaces, SIDE_OUT, wave, 1.0, n, dz, dx, -dy * sign, stream, ENTRY)
+        ray[of.Y] = ray[of.CHIP_Y] - sign * scene.numbers[of.HALF_WIDTH]
+        fate, dz, dx, out = scatter(scene.surfaces, of.SIDE_OUT, wave, 1.0, n, dz, dx, -dy * sign, stream, ENTRY)
         dy = -out * sign
     follow_up(stream, ENTRY)
-    ray[DX], ray[DY], ray[DZ] = dx, dy, dz
+    ray[of.DX], ray[of.DY], ray[of.DZ] = dx, dy, dz
     if fate == TRANSMITTED:
-        ray[X] -= ray[CHIP_X]
-        ray[Y] -= ray[CHIP_Y]
+        ray[of.X] -= ray[of.CHIP_X]
+        ray[of.Y] -= ray[of.CHIP_Y]
     return fate
 
 
@@ -224,26 +178,27 @@ def _edge(scene: SceneArrays, wave: int, ray: Real, stream: Stream, sinks: Sinks
     At an open edge the place where it would have met the receiver's plane is still recorded: the map goes on smoothly
     beyond the edge, which a low-pass filter needs; what lies beyond belongs to no result.
     """
-    dx, dy, dz = ray[DX], ray[DY], ray[DZ]
-    if not scene.flags[WALLS]:
-        distance, tilt_x, tilt_y = scene.numbers[DISTANCE], scene.numbers[TILT_X], scene.numbers[TILT_Y]
+    dx, dy, dz = ray[of.DX], ray[of.DY], ray[of.DZ]
+    if not scene.flags[of.WALLS]:
+        distance, tilt_x, tilt_y = scene.numbers[of.DISTANCE], scene.numbers[of.TILT_X], scene.numbers[of.TILT_Y]
         rise = dz - distance * (tilt_x * dx + tilt_y * dy)
         if rise > 0.0:
-            path = (distance * (1.0 + tilt_x * ray[X] + tilt_y * ray[Y]) - ray[Z]) / rise
-            _record(sinks, 0 if ray[EVENT] < AFTER_RECEIVER else 1, ray[X] + dx * path, ray[Y] + dy * path, ray[WEIGHT])
+            path = (distance * (1.0 + tilt_x * ray[of.X] + tilt_y * ray[of.Y]) - ray[of.Z]) / rise
+            later = 0 if ray[of.EVENT] < of.AFTER_RECEIVER else 1
+            _record(sinks, later, ray[of.X] + dx * path, ray[of.Y] + dy * path, ray[of.WEIGHT])
         return False
     if what == _EDGE_X:
         sign = 1.0 if dx > 0.0 else -1.0
-        ray[X] = sign * scene.numbers[HALF_X]
-        fate, dy, dz, out = scatter(scene.surfaces, EDGE, wave, 1.0, 1.0, dy, dz, -dx * sign, stream, EDGE_KIND)
+        ray[of.X] = sign * scene.numbers[of.HALF_X]
+        fate, dy, dz, out = scatter(scene.surfaces, of.EDGE, wave, 1.0, 1.0, dy, dz, -dx * sign, stream, EDGE_KIND)
         dx = -out * sign
     else:
         sign = 1.0 if dy > 0.0 else -1.0
-        ray[Y] = sign * scene.numbers[HALF_Y]
-        fate, dz, dx, out = scatter(scene.surfaces, EDGE, wave, 1.0, 1.0, dz, dx, -dy * sign, stream, EDGE_KIND)
+        ray[of.Y] = sign * scene.numbers[of.HALF_Y]
+        fate, dz, dx, out = scatter(scene.surfaces, of.EDGE, wave, 1.0, 1.0, dz, dx, -dy * sign, stream, EDGE_KIND)
         dy = -out * sign
     follow_up(stream, EDGE_KIND)
-    ray[DX], ray[DY], ray[DZ] = dx, dy, dz
+    ray[of.DX], ray[of.DY], ray[of.DZ] = dx, dy, dz
     return fate == REFLECTED
 
 
@@ -253,48 +208,46 @@ def clear_way(scene: SceneArrays, ray: Real) -> float:
 
     What most stored exits do: the neighbours' near faces are a spacing less half a width away.
     """
-    numbers, dz = scene.numbers, ray[DZ]
-    if dz <= 0.0 or not scene.flags[PERIODIC] or numbers[TILT_X] != 0.0 or numbers[TILT_Y] != 0.0:
+    numbers, dz = scene.numbers, ray[of.DZ]
+    if dz <= 0.0 or not scene.flags[of.PERIODIC] or numbers[of.TILT_X] != 0.0 or numbers[of.TILT_Y] != 0.0:
         return 0.0
-    to_top = max(0.0, numbers[THICKNESS] - ray[Z]) / dz
-    reach = numbers[SPACING] - numbers[HALF_WIDTH] - _TOUCH_UM
-    if abs(ray[X] + ray[DX] * to_top) >= reach or abs(ray[Y] + ray[DY] * to_top) >= reach:
+    to_top = max(0.0, numbers[of.THICKNESS] - ray[of.Z]) / dz
+    reach = numbers[of.SPACING] - numbers[of.HALF_WIDTH] - _TOUCH_UM
+    if abs(ray[of.X] + ray[of.DX] * to_top) >= reach or abs(ray[of.Y] + ray[of.DY] * to_top) >= reach:
         return 0.0
-    return (numbers[DISTANCE] - ray[Z]) / dz
+    return float((numbers[of.DISTANCE] - ray[of.Z]) / dz)
 
 
 @inlined_kernel
-def receive(
-    scene: SceneArrays, wave: int, ray: Real, stream: Stream, sinks: Sinks, survival: float
-) -> bool:
+def receive(scene: SceneArrays, wave: int, ray: Real, stream: Stream, sinks: Sinks, survival: float) -> bool:
     """Record an arrival at the receiver and send back what it reflects; False where the ray ends."""
-    numbers, weight = scene.numbers, ray[WEIGHT]
-    x, y, dx, dy, dz = ray[X], ray[Y], ray[DX], ray[DY], ray[DZ]
-    if scene.flags[PERIODIC]:  # back into the cell around a chip
-        ray[X] = x = x - numbers[SPACING] * floor(x / numbers[SPACING] + 0.5)
-        ray[Y] = y = y - numbers[SPACING] * floor(y / numbers[SPACING] + 0.5)
+    numbers, weight = scene.numbers, ray[of.WEIGHT]
+    x, y, dx, dy, dz = ray[of.X], ray[of.Y], ray[of.DX], ray[of.DY], ray[of.DZ]
+    if scene.flags[of.PERIODIC]:  # back into the cell around a chip
+        ray[of.X] = x = x - numbers[of.SPACING] * floor(x / numbers[of.SPACING] + 0.5)
+        ray[of.Y] = y = y - numbers[of.SPACING] * floor(y / numbers[of.SPACING] + 0.5)
     else:
-        ray[Z] = numbers[DISTANCE] * (1.0 + numbers[TILT_X] * x + numbers[TILT_Y] * y)
-    tilted = numbers[TILT_X] != 0.0 or numbers[TILT_Y] != 0.0
-    event = int(ray[EVENT])
+        ray[of.Z] = numbers[of.DISTANCE] * (1.0 + numbers[of.TILT_X] * x + numbers[of.TILT_Y] * y)
+    tilted = numbers[of.TILT_X] != 0.0 or numbers[of.TILT_Y] != 0.0
+    event = int(ray[of.EVENT])
     sinks.arrivals[event] += weight
-    later = 1 if event == AFTER_RECEIVER else 0
+    later = 1 if event == of.AFTER_RECEIVER else 0
     if later == 0 and sinks.directions.shape[1] > 0:
         note_direction(sinks.directions, 1, dx, dy, dz, weight)
     recorded_x, recorded_y = x, y
-    if numbers[SPREAD_SHARE] > 0.0:
+    if numbers[of.SPREAD_SHARE] > 0.0:
         a, b, c, _ = draw(stream, PLATE, 0)
         follow_up(stream, PLATE)
-        if a < numbers[SPREAD_SHARE]:
-            shift = numbers[SPREAD_SIGMA] * sqrt(2.0 * minus_log(b))
+        if a < numbers[of.SPREAD_SHARE]:
+            shift = numbers[of.SPREAD_SIGMA] * sqrt(2.0 * minus_log(b))
             across, along = cos_sin_turn(c)
             recorded_x, recorded_y = x + shift * across, y + shift * along
     seen = _response(scene, dz)
-    if scene.flags[PERIODIC]:
-        recorded_x -= numbers[SPACING] * floor(recorded_x / numbers[SPACING] + 0.5)
-        recorded_y -= numbers[SPACING] * floor(recorded_y / numbers[SPACING] + 0.5)
+    if scene.flags[of.PERIODIC]:
+        recorded_x -= numbers[of.SPACING] * floor(recorded_x / numbers[of.SPACING] + 0.5)
+        recorded_y -= numbers[of.SPACING] * floor(recorded_y / numbers[of.SPACING] + 0.5)
     _record(sinks, later, recorded_x, recorded_y, weight * seen)
-    ray[EVENT] = AFTER_RECEIVER
+    ray[of.EVENT] = of.AFTER_RECEIVER
     return _send_back(scene, wave, ray, stream, sinks, survival, tilted)
 
 
@@ -303,42 +256,43 @@ def _send_back(
     scene: SceneArrays, wave: int, ray: Real, stream: Stream, sinks: Sinks, survival: float, tilted: bool
 ) -> bool:
     """What the receiver keeps and what it sends back; roulette with its book-keeping."""
-    numbers, weight = scene.numbers, ray[WEIGHT]
-    dx, dy, dz = ray[DX], ray[DY], ray[DZ]
+    numbers, weight = scene.numbers, ray[of.WEIGHT]
+    dx, dy, dz = ray[of.DX], ray[of.DY], ray[of.DZ]
     p, q, r = dx, dy, -dz  # in the receiver's surface space, z downwards
     mx, my, mz = 0.0, 0.0, 1.0
     if tilted:
-        mx, my = -numbers[DISTANCE] * numbers[TILT_X], -numbers[DISTANCE] * numbers[TILT_Y]
+        mx, my = -numbers[of.DISTANCE] * numbers[of.TILT_X], -numbers[of.DISTANCE] * numbers[of.TILT_Y]
         mz = 1.0 / sqrt(1.0 + mx * mx + my * my)
         mx, my = mx * mz, my * mz
         a = 1.0 / (1.0 + mz)
         p = dx * (1.0 - mx * mx * a) - dy * mx * my * a - dz * mx
         q = -dx * mx * my * a + dy * (1.0 - my * my * a) - dz * my
         r = -(dx * mx + dy * my + dz * mz)
-    kept = albedo(scene.surfaces, RECEIVER, wave, r)
-    sinks.ledger[RECEIVER_END] += weight * (1.0 - kept)
+    kept = albedo(scene.surfaces, of.RECEIVER, wave, r)
+    sinks.ledger[of.RECEIVER_END] += weight * (1.0 - kept)
     if kept == 0.0:
         return False
-    chance = survival if weight > LIGHT else kept
+    # weights stay at 1 or below, else a bright receiver would give them an infinite variance
+    chance = max(survival, min(1.0, weight * kept)) if weight > LIGHT else kept
     if chance < 1.0:
         u, _, _, _ = draw(stream, ROULETTE, 0)
         follow_up(stream, ROULETTE)
         if u >= chance:
-            sinks.ledger[ROULETTE_END] -= weight * kept
+            sinks.ledger[of.ROULETTE_END] -= weight * kept
             return False
-    fate, p, q, r = scatter(scene.surfaces, RECEIVER, wave, 1.0, 1.0, p, q, r, stream, RECEIVER_KIND, kept)
+    fate, p, q, r = scatter(scene.surfaces, of.RECEIVER, wave, 1.0, 1.0, p, q, r, stream, RECEIVER_KIND, kept)
     follow_up(stream, RECEIVER_KIND)
-    ray[WEIGHT] = weight * kept / chance
-    sinks.ledger[ROULETTE_END] += weight * kept / chance - weight * kept
+    ray[of.WEIGHT] = weight * kept / chance
+    sinks.ledger[of.ROULETTE_END] += weight * kept / chance - weight * kept
     if fate != REFLECTED:  # through the plate
-        sinks.ledger[RECEIVER_END] += ray[WEIGHT]
+        sinks.ledger[of.RECEIVER_END] += ray[of.WEIGHT]
         return False
-    ray[DX], ray[DY], ray[DZ] = p, q, -r
+    ray[of.DX], ray[of.DY], ray[of.DZ] = p, q, -r
     if tilted:
         a = 1.0 / (1.0 + mz)
-        ray[DX] = p * (1.0 - mx * mx * a) - q * mx * my * a - r * mx
-        ray[DY] = -p * mx * my * a + q * (1.0 - my * my * a) - r * my
-        ray[DZ] = -p * mx - q * my - r * mz
+        ray[of.DX] = p * (1.0 - mx * mx * a) - q * mx * my * a - r * mx
+        ray[of.DY] = -p * mx * my * a + q * (1.0 - my * my * a) - r * my
+        ray[of.DZ] = -p * mx - q * my - r * mz
     return True
 
 
@@ -348,7 +302,7 @@ def _record(sinks: Sinks, later: int, x: float, y: float, weight: float) -> None
     box = sinks.box
     if box[3] > 0.0:
         x, y = abs(x), abs(y)
-    column, row = int(floor((x - box[0]) * box[2])), int(floor((y - box[1]) * box[2]))
+    column, row = int((x - box[0]) * box[2] + 1.0) - 1, int((y - box[1]) * box[2] + 1.0) - 1  # floor, from -1 on
     _, rows, columns = sinks.bins.shape
     if box[4] > 0.0:  # a cell: what lies on its rim belongs to it
         column, row = min(max(column, 0), columns - 1), min(max(row, 0), rows - 1)
@@ -369,7 +323,7 @@ def note_direction(directions: Real, which: int, dx: float, dy: float, dz: float
 @inlined_kernel
 def _response(scene: SceneArrays, cosine: float) -> float:
     """Weight of recorded light at a cosine of incidence."""
-    steps, tables = scene.flags[RESPONSE] - 1, scene.surfaces.tables
+    steps, tables = scene.flags[of.RESPONSE] - 1, scene.surfaces.tables
     node = min(int(cosine * steps), steps - 1)
-    at = scene.flags[RESPONSE_AT] + node
-    return tables[at] + (cosine * steps - node) * (tables[at + 1] - tables[at])
+    at = scene.flags[of.RESPONSE_AT] + node
+    return float(tables[at] + (cosine * steps - node) * (tables[at + 1] - tables[at]))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from time import perf_counter
 
 import numpy as np
@@ -58,14 +59,14 @@ class MonteCarlo:
                     report((self.tally.histories - begin) / (histories - begin))
                 count = min(self._calls, histories - self.tally.histories)
                 start_s = perf_counter()
-                list(pool.map(lambda group: self._trace(group, count), range(self.tally.groups)))
+                list(pool.map(partial(self._trace, count), range(self.tally.groups)))
                 self.tally.histories += count
                 call_s = (perf_counter() - start_s) * self._threads / self.tally.groups
                 if call_s < CHUNK_S / 2.0:
                     self._calls *= 2
         return self.tally
 
-    def _trace(self, group: int, count: int) -> None:
+    def _trace(self, count: int, group: int) -> None:
         tally = self.tally
         trace_group(
             self.arrays, self._emission, np.uint64(self.seed), group, tally.groups, tally.histories, count,

@@ -109,7 +109,10 @@ class _Packer:
         if len(kinds) > MOST_PARTS or any([part.kind for part in wave] != kinds for wave in parts):
             raise InputError(name, len(kinds), f"at most {MOST_PARTS} parts, the same for all wavelengths")
         shares = np.stack(
-            [np.cumsum([part.share(theta) for part in wave], axis=0).T for wave, theta in zip(parts, angles, strict=True)]
+            [
+                np.cumsum([part.share(theta) for part in wave], axis=0).T
+                for wave, theta in zip(parts, angles, strict=True)
+            ]
         )
         if not np.all(np.isfinite(shares)) or shares.min() < -1e-12 or shares.max() > 1.0 + 1e-9:
             raise InputError(name, float(shares.max()), "shares of power from 0 to 1", "it would create energy")
@@ -152,7 +155,9 @@ def _cells(table: Tabulated) -> Real:
     upper = (edges[1:] <= np.pi / 2 * (1.0 + 1e-12)).astype(float)
     head = [table.theta_in_rad.size, edges.size - 1, table.phi_out_edges_rad.size - 1, table.images]
     squares = np.sin(np.minimum(edges, np.pi)) ** 2
-    return np.concatenate([head, table.theta_in_rad, total[:, 0], squares, upper, table.phi_out_edges_rad, ends.ravel()])
+    return np.concatenate(
+        [head, table.theta_in_rad, total[:, 0], squares, upper, table.phi_out_edges_rad, ends.ravel()]
+    )
 
 
 def scene_arrays(scene: Scene) -> SceneArrays:
@@ -181,7 +186,9 @@ def emission_arrays(scene: Scene) -> EmissionArrays:
     """The arrays of a scene's emission."""
     emission, layout = scene.emission, scene.layout
     position = np.asarray(emission.position, float)
-    finite = isinstance(layout, Array)
+    power, centres = np.ones(1), np.zeros((1, 2))
+    if isinstance(layout, Array):
+        power, centres = layout.power.ravel(), layout.centres_um.reshape(-1, 2)
     return EmissionArrays(
         wave_cumulative=np.cumsum(scene.wavelength_weight),
         cosine_quantiles=quantiles(emission.cosine, emission.intensity),
@@ -189,8 +196,8 @@ def emission_arrays(scene: Scene) -> EmissionArrays:
         height_quantiles=np.array([0.0, 1.0] if emission.layer_depth is None else [emission.layer_depth] * 2),
         row_cumulative=_cumulative(position.sum(axis=1)),
         column_cumulative=np.stack([_cumulative(row) for row in position]),
-        chip_cumulative=_cumulative(layout.power.ravel())[1:] if finite else np.ones(1),
-        centres_um=layout.centres_um.reshape(-1, 2) if finite else np.zeros((1, 2)),
+        chip_cumulative=_cumulative(power)[1:],
+        centres_um=centres,
     )
 
 
@@ -202,7 +209,8 @@ def _numbers(scene: Scene) -> Real:
         layout.spacing_um, scene.distance_um, chip.width_um / 2.0, chip.thickness_um, chip.absorption_per_um,
         *scene.tilt_per_um, *halves, *origin, receiver.spread_share, receiver.spread_um,
     )  # fmt: skip
-    assert len(numbers) == INDEX
+    if len(numbers) != INDEX:
+        raise ValueError(f"{len(numbers)} numbers of a scene, not {INDEX}")
     return np.array([*numbers, *chip.index], float)
 
 
@@ -210,14 +218,18 @@ def _flags(scene: Scene, tables: tuple[int, int, int]) -> NDArray[np.int64]:
     layout, chip = scene.layout, scene.chip
     lossless = {}
     for name, face in (("top", chip.top), ("sides", chip.sides)):
-        angles = [np.arcsin(1.0 / n) + (np.pi / 2 - np.arcsin(1.0 / n)) * np.linspace(1e-6, 1.0, 65) for n in chip.index]
+        angles = [
+            np.arcsin(1.0 / n) + (np.pi / 2 - np.arcsin(1.0 / n)) * np.linspace(1e-6, 1.0, 65) for n in chip.index
+        ]
         lossless[name] = all(
             isinstance(bsdf, Fresnel) or float(bsdf.deltas(theta).mirror.min()) > 1.0 - 1e-12
             for bsdf, theta in zip(face.inside, angles, strict=True)
         )
     bottom = chip.mirror if chip.mirror is not None else scene.substrate
     kept = float(bottom.deltas(np.linspace(0.0, np.pi / 2, 65)).mirror.min()) >= 1.0
-    plain = all(part.kind in (MIRROR, REFRACTED) for bsdf in (*chip.top.inside, *chip.sides.inside) for part in parts_of(bsdf))
+    plain = all(
+        part.kind in (MIRROR, REFRACTED) for bsdf in (*chip.top.inside, *chip.sides.inside) for part in parts_of(bsdf)
+    )
     flags = (
         isinstance(layout, Cell), *((layout.rows, layout.columns) if isinstance(layout, Array) else (1, 1)),
         isinstance(layout, Array) and layout.wall is not None, lossless["sides"] and plain, chip.bottom == "air_gap",
@@ -226,7 +238,8 @@ def _flags(scene: Scene, tables: tuple[int, int, int]) -> NDArray[np.int64]:
         chip.bottom == "mirror" and isinstance(chip.mirror, Mirror) and all(lossless.values()) and plain
         and not scene.emission.from_top,
     )  # fmt: skip
-    assert len(flags) == FLAGS
+    if len(flags) != FLAGS:
+        raise ValueError(f"{len(flags)} flags of a scene, not {FLAGS}")
     return np.array(flags, np.int64)
 
 
@@ -256,4 +269,4 @@ def _cumulative(weights: Real) -> Real:
     weights = weights if total > 0.0 else np.ones_like(weights)
     ends = np.concatenate([[0.0], np.cumsum(weights)]) / np.sum(weights)
     ends[-1] = 1.0
-    return ends
+    return np.asarray(ends)

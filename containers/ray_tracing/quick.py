@@ -9,7 +9,7 @@ from containers.compiled import inlined_kernel
 
 @inlined_kernel
 def cos_sin_turn(turns: float) -> tuple[float, float]:
-    """cos and sin of 2 pi x `turns`, for turns in [0, 1]: Taylor's series in an eighth of a turn, error below 1e-11."""
+    """cos and sin of 2 pi x `turns`, for turns in [0, 1]: Taylor's series in an eighth of a turn, to 1e-11."""
     eighth = int(turns * 8.0 + 0.5)
     x = (turns - eighth * 0.125) * 6.283185307179586
     x2 = x * x
@@ -41,6 +41,10 @@ def cos_sinc(square: float) -> tuple[float, float]:
         t = sqrt(square)
         return cos(t), sin(t) / t
     q = square
-    c = 1.0 + q * (-1 / 2 + q * (1 / 24 + q * (-1 / 720 + q * (1 / 40320 + q * (-1 / 3628800 + q * (1 / 479001600))))))
-    s = 1.0 + q * (-1 / 6 + q * (1 / 120 + q * (-1 / 5040 + q * (1 / 362880 + q * (-1 / 39916800 + q * (1 / 6227020800))))))
+    c = 1.0 + q * (
+        -1 / 2 + q * (1 / 24 + q * (-1 / 720 + q * (1 / 40320 + q * (-1 / 3628800 + q * (1 / 479001600)))))
+    )
+    s = 1.0 + q * (
+        -1 / 6 + q * (1 / 120 + q * (-1 / 5040 + q * (1 / 362880 + q * (-1 / 39916800 + q * (1 / 6227020800)))))
+    )
     return c, s

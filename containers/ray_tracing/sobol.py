@@ -60,7 +60,9 @@ def _reversed(value: np.uint64) -> np.uint64:
 
 
 @inlined_kernel
-def point(directions: NDArray[np.uint64], index: np.uint64, keys: NDArray[np.uint64], out: NDArray[np.float64]) -> None:
+def point(
+    directions: NDArray[np.uint64], index: np.uint64, keys: NDArray[np.uint64], out: NDArray[np.float64]
+) -> None:
     """Point number `index` of the sequence scrambled by `keys` (dimension,), into `out` (dimension,), in (0, 1)."""
     for dimension in range(out.size):
         word, left, bit = np.uint64(0), index, 0

@@ -35,7 +35,7 @@ class SplitMonteCarlo(MonteCarlo):
         if not flags[of.UNFOLD] or flags[of.TOP_LOSSY] or flags[of.FROM_TOP]:
             raise InputError("scene", "its chip", "clear sides, a lossless top, light born inside", "use MonteCarlo")
 
-    def _trace(self, group: int, count: int) -> None:
+    def _trace(self, count: int, group: int) -> None:
         tally = self.tally
         split_group(
             self.arrays, self._emission, np.uint64(self.seed), group, tally.groups, tally.histories, count,
@@ -67,15 +67,12 @@ def _split_history(
     x, y, z, dx, dy, dz = ray[of.X], ray[of.Y], ray[of.Z], ray[of.DX], ray[of.DY], ray[of.DZ]
     chip_x, chip_y, weight, topped = ray[of.CHIP_X], ray[of.CHIP_Y], ray[of.WEIGHT], False
     faint, leaks = FAINT * weight, 1.0 - 1.0 / n2
-    first, ray[of.FIRST_FACE] = ray[of.FIRST_FACE], -1.0
     while weight > 0.0:
         a, b, _, _ = draw(stream, FACE, 0)
         follow_up(stream, FACE)
         top_at, bottom_at = ((top - z) / dz, (2.0 * top - z) / dz) if dz > 0.0 else (inf, -z / dz)
         axis, stays, at = 0 if dx * dx > leaks else 1 if dy * dy > leaks else 2, 1.0, inf
         meets_top = axis == 2 and dz > 0.0 and dz * dz > leaks
-        if first >= 0.0 and (axis < 2 or meets_top):
-            a, b, first = first, first, -1.0
         if axis < 2:
             along, going = (x, dx) if axis == 0 else (y, dy)
             stays, at = _by_sides(surfaces, wave, n2, along, going, half, bottom_at, a)

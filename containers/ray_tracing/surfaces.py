@@ -28,11 +28,12 @@ ABSORBED, REFLECTED, TRANSMITTED = range(3)
 MIRROR, REFRACTED, LAMBERT, LAMBERT_THROUGH, LOBE, TABLE = range(6)
 """Kinds of parts."""
 PARTS, NODES, STRIDE, AT, BEYOND, FLAT, SPECULAR, SIGMA_AT, CELLS_AT, KIND = range(10)
-"""Columns of `layout` (STRIDE: from one wavelength to the next, 0 for all the same); the kinds of up to `MOST_PARTS` parts follow from KIND on."""
+"""Columns of `layout` (STRIDE: from one wavelength to the next, 0 for all the same); from KIND on follow the
+kinds of up to `MOST_PARTS` parts."""
 MOST_PARTS = 6
 ROWS, RINGS, SECTORS, IMAGES = range(4)
-"""The head of a table of cells, followed by angles and powers of rows, sin^2 of rings, hemisphere of rings, phi of sectors, and
-for each row the cumulative powers of its cells (a leading 0, the last 1)."""
+"""The head of a table of cells, followed by angles and powers of rows, sin^2 of rings, hemisphere of rings, phi of
+sectors, and for each row the cumulative powers of its cells (a leading 0, the last 1)."""
 MOST_ATTEMPTS = 1 << 20
 
 
@@ -67,10 +68,10 @@ def node_of(surfaces: Surfaces, s: int, wave: int, u2: float, n2: float) -> tupl
 @inlined_kernel
 def share(surfaces: Surfaces, s: int, at: int, above: float, part: int) -> float:
     """Cumulative share up to a part, at a place of `node_of`."""
-    here = surfaces.tables[at + part]
+    here: float = surfaces.tables[at + part]
     if above == 0.0:
         return here
-    return here + above * (surfaces.tables[at + surfaces.layout[s, PARTS] + part] - here)
+    return float(here + above * (surfaces.tables[at + surfaces.layout[s, PARTS] + part] - here))
 
 
 @borrowing_kernel
@@ -128,7 +129,7 @@ def scatter(
 def lobe(
     sigma: float, x: float, y: float, z: float, u: float, v: float, stream: Stream, kind: int
 ) -> tuple[float, float, float]:
-    """A direction about the mirror direction (x, y, z >= 0): PHYSICS' Gaussian lobe, drawn again until it is above."""
+    """A direction about the mirror direction (x, y, z >= 0): the Gaussian lobe, drawn again until it is above."""
     a = 1.0 / (1.0 + z)
     xy = -x * y * a
     for attempt in range(1, MOST_ATTEMPTS):

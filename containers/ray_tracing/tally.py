@@ -28,7 +28,7 @@ OPTICAL_EVENTS = ("through_dbr", "from_sides", "after_top_reflection", "after_re
 
 @dataclass(frozen=True)
 class Box:
-    """Where bins lie on the receiver: a quarter of a symmetric cell (folded), a whole cell, or a module with a pad."""
+    """Where bins lie on the receiver: a quarter of a symmetric cell (folded), a cell, or a module and its pad."""
 
     x0_um: float
     y0_um: float

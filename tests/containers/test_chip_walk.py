@@ -13,17 +13,10 @@ from containers.ray_tracing.arrays import AFTER_TOP, ENDS, FROM_SIDES, PATH, THR
 from containers.ray_tracing.kernel import EVENT_OF_EXIT, WEIGHT_OF_EXIT
 from containers.ray_tracing.packing import scene_arrays
 from containers.scene import Emission, Face
-from containers.thin_film.surface import film_bsdf
-from tests.films import film
-from tests.ray_scenes import ESCAPE, SUBSTRATE, N, Single, bare, chip, exits_of, scene, taking
+from tests.ray_scenes import ESCAPE, SUBSTRATE, N, Single, bare, chip, exits_of, film_face, scene, taking
 
 HALF, TOP = 14.0, 35.0
 FACES = ("+x", "-x", "+y", "-y", "top")
-
-
-def film_face() -> Face:
-    """5.5 pairs."""
-    return Face((film_bsdf(film(5.5), "inside"),), (film_bsdf(film(5.5), "outside"),))
 
 
 def rough_top() -> Face:
@@ -35,7 +28,7 @@ def rough_top() -> Face:
 CHIPS: dict[str, dict[str, Any]] = {
     "clear": {},
     "absorbing": {"absorption_per_um": 0.01},
-    "film": {"top": film_face(), "absorption_per_um": 0.003},
+    "film": {"top": film_face(5.5), "absorption_per_um": 0.003},
     "film that takes light": {"top": taking(0.5, 0.3)},
     "film that takes light beyond the critical angle": {"top": taking(0.5, 0.3, beyond=0.9)},
     "sides that take light": {"sides": taking(0.4, 0.45), "absorption_per_um": 0.003},

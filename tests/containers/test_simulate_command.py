@@ -6,12 +6,14 @@ import json
 from collections.abc import Callable
 from contextlib import nullcontext
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from containers import simulate_command
+from containers.asking import watched
 from containers.ray_tracing.exports import read_ies, read_tm25
 from containers.ray_tracing.simulation import FreshExits
 from containers.ray_tracing.worker import RayComputation
@@ -19,12 +21,15 @@ from containers.simulate_command import PRESETS, array_of, design_of, named_by_o
 from containers.simulate_text import as_text
 from containers.thin_film.database import open_database
 from containers.thin_film.worker import DATABASE, FilmComputation
-from luxloop.client import Answer
+from luxloop.bus import Interrupt
+from luxloop.client import Answer, as_task
 from luxloop.computation import Progress
 from luxloop.design import Design
 from luxloop.errors import InputError, RemoteError
 from luxloop.failure import Failure
 from luxloop.film import FilmTableRequest
+from luxloop.messages import Task
+from luxloop.model import Environment
 from luxloop.model_file import find_model
 from luxloop.photometry import luminous_efficacy_lm_per_w
 from luxloop.ray import RayRequest
@@ -76,6 +81,57 @@ def simulated(workers: Set, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, cap
         return dict(json.loads(capsys.readouterr().out))
 
     return run
+
+
+class Slow:
+    """A client whose one worker is done when somebody has looked `looks` times; the next look then is a Ctrl-C."""
+
+    def __init__(self, looks: int, *, interrupted: bool = False) -> None:
+        self._looks, self._interrupted = looks, interrupted
+        self._done, self.withdrawn = Interrupt(), list[str]()
+
+    def run(self, task: Task, *, limit_s: float, until: Interrupt | None = None) -> Answer:
+        """Wait for the last look, or until nobody wants it any more."""
+        if until is not None:
+            with until.ends(self._done.set):
+                assert self._done.wait(20.0)
+        return Answer({"limit_s": limit_s}, {}, "slow", 1, 0.0)
+
+    def status(self) -> Any:
+        """How far it is: nobody there at the first look, half way then."""
+        self._looks -= 1
+        if self._looks == 0 and not self._interrupted:
+            self._done.set()
+        if self._looks == 0 and self._interrupted:
+            raise KeyboardInterrupt
+        worker = SimpleNamespace(task_id="other", progress_ratio=0.5, describe=SimpleNamespace(kind="ray"))
+        return SimpleNamespace(workers=[worker] * (self._looks < 2))
+
+    def withdraw(self, task: Task) -> None:
+        """Note it."""
+        self.withdrawn.append(task.id)
+
+
+REQUEST = RayRequest(environment=Environment(), design=Design.from_vector(PRESETS["S_b3"]), histories=1)
+
+
+@pytest.mark.parametrize("show", [False, True])
+def test_a_long_request_is_watched(show: bool, capsys: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where it is shown, somebody looks until it is done; the answer and its time limit are the same."""
+    monkeypatch.setattr("containers.asking.LOOK_S", 0.01)
+    client: Any = Slow(3)
+    assert watched(client, REQUEST, "rays", show, 7.0).result == {"limit_s": 7.0}
+    assert client.withdrawn == []
+    assert capsys.readouterr().out == ""
+
+
+def test_an_interrupted_request_is_withdrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ctrl-C while the bar is drawn: nobody computes it any further, and nothing is left waiting."""
+    monkeypatch.setattr("containers.asking.LOOK_S", 0.01)
+    client: Any = Slow(2, interrupted=True)
+    with pytest.raises(KeyboardInterrupt):
+        watched(client, REQUEST, "rays", True, 7.0)
+    assert client.withdrawn == [as_task(REQUEST).id]
 
 
 def test_a_preset_is_simulated_with_its_film(simulated: Run, workers: Set) -> None:
