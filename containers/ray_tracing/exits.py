@@ -97,6 +97,8 @@ def make_exits(
     report: Callable[[float], None] | None = None,
 ) -> Exits:
     """Exits of `histories` (a multiple of `BLOCK`) of each group, from block `first_block` on."""
+    if histories < BLOCK or histories % BLOCK:
+        raise InputError("histories", histories, f"a multiple of {BLOCK}", "of each group")
     blocks, done = range(first_block, first_block + histories // BLOCK), [0]
     walk = _Walk(scene, seed, groups, notes)
 

@@ -7,7 +7,6 @@ them is the standard error of whatever is computed from their mean.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from math import inf
 
 import numpy as np
 from numpy.typing import NDArray
@@ -132,4 +131,3 @@ class Tally:
         return np.concatenate([half[:, :, ::-1], half], axis=2)
 
 
-NEVER = inf

@@ -173,16 +173,16 @@ def test_exits_land_on_a_finite_array_too() -> None:
 
 @pytest.mark.parametrize("distance", [60.0, 180.0])
 def test_the_stated_error_holds_the_exits_own_sampling(distance: float) -> None:
-    """Over 24 exit seeds the spread of the mean and of mode (1, 0) is what each landing states of itself."""
+    """Over 40 seeds the spread of the mean and of mode (1, 0) is what each landing states of itself."""
     of = scene({"absorption_per_um": 0.005}, distance_um=distance)
     found, stated = [], []
-    for seed in range(24):
-        tally = landed(of, make_exits(of, 100 + seed, BLOCK), seed=7)
+    for seed in range(40):
+        tally = landed(of, make_exits(of, 100 + seed, BLOCK), seed=200 + seed)
         values = [mean_and_error(mode(tally, *m)) for m in ((0, 0), (1, 0))]
         found.append([mean for mean, _ in values])
         stated.append([error for _, error in values])
     ratio = np.std(found, axis=0, ddof=1) / np.sqrt(np.mean(np.square(stated), axis=0))
-    assert np.all((ratio > 0.6) & (ratio < 1.5)), ratio
+    assert np.all((ratio > 0.65) & (ratio < 1.4)), ratio
 
 
 def test_landing_again_with_another_seed_shows_less_than_the_stated_error() -> None:
@@ -202,10 +202,11 @@ def test_more_histories_than_are_stored_are_refused() -> None:
 
 def test_histories_that_are_no_whole_block_are_refused() -> None:
     """Landing counts blocks, and so does making."""
-    with pytest.raises(InputError):
+    with pytest.raises(InputError, match="exits"):
         landed(scene(), exits_of_plain(1, 2), histories=BLOCK + 500)
-    with pytest.raises(InputError):
-        make_exits(scene(), 1, 100)
+    for histories in (100, 0, BLOCK + 1):
+        with pytest.raises(InputError, match="histories"):
+            make_exits(scene(), 1, histories)
 
 
 def test_the_weight_of_an_exit_is_that_of_its_light() -> None:
