@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from containers.bsdf import Bsdf, Fresnel, GaussianLobe, SpecularTable
-from containers.ray_tracing.arrays import ENDS, TRACE, UNFOLD
+from containers.ray_tracing.arrays import CONES, ENDS, TRACE, UNFOLD
 from containers.ray_tracing.kernel import EVENT_OF_EXIT, EXIT, WEIGHT_OF_EXIT, exits_of_group, land_group, scratch
 from containers.ray_tracing.packing import emission_arrays, scene_arrays
 from containers.ray_tracing.sobol import DIRECTIONS
@@ -73,14 +73,24 @@ Absorber: Bsdf = SpecularTable(np.array([0.0]), np.array([0.0]), np.array([0.0])
 
 
 def exits_of(
-    of: Scene, *, unfold: bool | None = None, count: int = 16384, seed: int = 1, group: int = 0, sobol: bool = True
+    of: Scene,
+    *,
+    unfold: bool | None = None,
+    cones: bool | None = None,
+    count: int = 16384,
+    seed: int = 1,
+    group: int = 0,
+    sobol: bool = True,
 ) -> tuple[Single, Real, Single]:
-    """What leaves a chip: exits (n, EXIT), the ledger per history, and what the walk noted (n, TRACE)."""
+    """What leaves a chip: exits (n, EXIT), the ledger per history, and what the walk noted (n, TRACE).
+
+    `unfold`, `cones` force or forbid the short cuts of the kernel.
+    """
     arrays = scene_arrays(of)
-    if unfold is not None:
-        flags = arrays.flags.copy()
-        flags[UNFOLD] = unfold
-        arrays = arrays._replace(flags=flags)
+    flags = arrays.flags.copy()
+    for flag, wanted in ((UNFOLD, unfold), (CONES, cones)):
+        flags[flag] = flags[flag] if wanted is None else wanted
+    arrays = arrays._replace(flags=flags)
     rays, notes, ledger = np.zeros((count, EXIT), np.float32), np.zeros((count, TRACE), np.float32), np.zeros(len(ENDS))
     found = exits_of_group(
         arrays, emission_arrays(of), np.uint64(seed), group, 1, 0, count, sobol, DIRECTIONS, rays, notes, ledger, scratch()

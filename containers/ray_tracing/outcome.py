@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from containers.ray_tracing.arrays import ENDS
 from containers.ray_tracing.estimate import Estimate
 from containers.ray_tracing.far_field import FarField, far_field
-from containers.ray_tracing.field import CellField, Field, ModuleField
+from containers.ray_tracing.field import CellField, Field
+from containers.ray_tracing.light import light_of
 from containers.ray_tracing.tally import OPTICAL_EVENTS, Tally
 from containers.ray_tracing.uniformity import Metrics, Region, array_region, cell_region, metrics_of
 from containers.scene import Array, Scene
@@ -55,18 +56,9 @@ class Solved:
 
 def solved(scene: Scene, tally: Tally) -> Solved:
     """The field of a tally. Raises InputError where its bins cannot tell it."""
-    layout, box = scene.layout, tally.box
+    layout, field = scene.layout, light_of(tally, scene)
     if isinstance(layout, Array):
-        # histories choose their chip by its power: of a nominal chip there are 1 / (sum of the powers)
-        bins = tally.cell_bins() * layout.power.sum()
-        edges = (
-            box.x0_um, box.x0_um + box.columns * box.step_um, box.y0_um, box.y0_um + box.rows * box.step_um,
-        )  # fmt: skip
-        field: Field = ModuleField.from_bins(bins, tally.histories, edges, scene.height_um)
         return Solved(scene, tally, field, array_region(layout.rows, layout.columns, layout.spacing_um))
-    field = CellField.from_bins(
-        tally.cell_bins(), tally.histories, layout.spacing_um, scene.height_um, folded=box.folded
-    )
     return Solved(scene, tally, field, cell_region(layout.spacing_um))
 
 

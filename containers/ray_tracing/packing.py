@@ -253,7 +253,7 @@ def quantiles(x: Real, density: Real) -> Real:
     left = wanted - cumulative[cell]
     root = np.sqrt(np.maximum(base**2 + 2.0 * rise * left, 0.0))
     inside = np.divide(2.0 * left, base + root, out=np.zeros_like(left), where=base + root > 0.0)
-    return np.clip(x[cell] + inside, x[0], x[-1])
+    return np.asarray(np.clip(x[cell] + inside, x[0], x[-1]))
 
 
 def _per_solid_angle(emission: Emission) -> Real:

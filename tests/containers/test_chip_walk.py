@@ -9,7 +9,7 @@ import pytest
 from scipy import stats
 
 from containers.bsdf import Fresnel, GaussianLobe, Lambertian, Mirror, Mixture
-from containers.ray_tracing.arrays import AFTER_TOP, ENDS, FROM_SIDES, PATH, THROUGH_TOP, UNFOLD
+from containers.ray_tracing.arrays import AFTER_TOP, CONES, ENDS, FROM_SIDES, PATH, THROUGH_TOP, UNFOLD
 from containers.ray_tracing.kernel import EVENT_OF_EXIT, WEIGHT_OF_EXIT
 from containers.ray_tracing.packing import scene_arrays
 from containers.scene import Emission, Face
@@ -94,6 +94,40 @@ def test_the_unfolded_walk_is_the_plain_walk(name: str) -> None:
     for reach in (20.0, 100.0, 400.0):  # the mean of clear chips has long tails
         with_path = (np.column_stack([rays, notes[:, PATH]]) for rays, notes in ((a, notes_a), (b, notes_b)))
         same_means(*with_path, counts, lambda rays, reach=reach: rays[:, -1] < reach)
+
+
+@pytest.mark.parametrize("intensity", [(1.0, 1.0, 1.0), (2.0, 1.0, 2.0), (0.5, 1.0, 3.0)])
+@pytest.mark.parametrize("absorption", [0.0, 0.01])
+@pytest.mark.parametrize("R", [0.9, 1.0])
+def test_light_born_in_the_escape_cones_only_is_all_the_light(
+    intensity: tuple[float, float, float], absorption: float, R: float
+) -> None:
+    """Above a smooth mirror trapped light is booked and not followed: the same exits and ends as if it were."""
+    emission = Emission(layer_depth=0.8, cosine=np.array([-1.0, 0.0, 1.0]), intensity=np.array(intensity))
+    of = scene({"bottom": "mirror", "mirror": Mirror(R), "absorption_per_um": absorption}, emission=emission)
+    count = 60_000
+    assert scene_arrays(of).flags[CONES] == 1
+    a, ledger_a, _ = exits_of(of, cones=True, count=count, sobol=False)
+    b, ledger_b, _ = exits_of(of, cones=False, count=count, seed=2, sobol=False)
+    for end in range(ENDS.index("roulette")):
+        assert ledger_a[end] == pytest.approx(ledger_b[end], abs=4.5 * np.sqrt(0.5 / count)), ENDS[end]
+    counts = (count, count)
+    for face in range(len(FACES)):
+        same_means(a, b, counts, lambda rays, face=face: face_of(rays) == face)
+    for axis in range(6):
+        for power in (1, 2):
+            same_means(a, b, counts, lambda rays, axis=axis, power=power: rays[:, axis] ** power)
+
+
+def test_light_born_outside_the_chip_is_not_put_into_its_cones() -> None:
+    """Regression: with a mirror below, Lambert's light from the top face was given directions of the chip's inside."""
+    of = scene({"bottom": "mirror", "mirror": Mirror(0.97)}, emission=Emission(from_top=True))
+    rays, ledger, _ = exits_of(of, count=8192)
+    assert len(rays) == 8192
+    assert np.all(rays[:, WEIGHT_OF_EXIT] == 1.0)
+    assert rays[:, 5].min() > 0.0
+    assert rays[:, 5].mean() == pytest.approx(2 / 3, abs=0.01)
+    assert sum(ledger[: ENDS.index("roulette")]) == 0.0
 
 
 @pytest.mark.parametrize("name", CHIPS)
