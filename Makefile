@@ -5,7 +5,7 @@ BIN := .venv/bin
 .PHONY: help run test test-fast lint bench clean
 
 help:
-	@echo "make run        set up, compute the paper's eleven DBR tables with real worker processes, draw them"
+	@echo "make run        set up, the paper's eleven DBR tables and its best design from real worker processes, with pictures"
 	@echo "make test       set up, run all tests"
 	@echo "make test-fast  the same without the slow ones"
 	@echo "make lint       ruff, mypy, import rules"
@@ -13,6 +13,7 @@ help:
 
 run: .venv/.run
 	$(BIN)/luxloop film --pairs 4.5:9.5:0.5 --tables --plot film.png
+	$(BIN)/luxloop simulate --preset S_b3 --plot simulation.png
 
 test: .venv/.dev
 	$(BIN)/python -m pytest -q
@@ -27,7 +28,7 @@ lint: .venv/.dev
 	$(BIN)/lint-imports
 
 bench: .venv/.dev
-	@set -e; for file in $(filter-out %__init__.py %processes.py,$(wildcard benchmarks/*.py)); do echo; echo "== $$file"; $(BIN)/python $$file; done
+	@set -e; for file in $(filter-out %__init__.py %processes.py %cells.py %mitsuba_scene.py,$(wildcard benchmarks/*.py)); do echo; echo "== $$file"; $(BIN)/python $$file; done
 
 .venv/pyvenv.cfg:
 	@test -n "$(PYTHON)" || { echo "make: no python3.11 found; set PYTHON=/path/to/python3.11"; exit 1; }
@@ -35,12 +36,12 @@ bench: .venv/.dev
 
 .venv/.run: pyproject.toml constraints.txt | .venv/pyvenv.cfg
 	$(BIN)/python -m pip install -q -c constraints.txt -e ".[all]"
-	$(BIN)/python -c "from containers.thin_film import warm_up; warm_up()"
+	$(BIN)/python -m containers.warm_up
 	@touch $@
 
 .venv/.dev: pyproject.toml constraints.txt | .venv/pyvenv.cfg
 	$(BIN)/python -m pip install -q -c constraints.txt -e ".[dev]"
-	$(BIN)/python -c "from containers.thin_film import warm_up; warm_up()"
+	$(BIN)/python -m containers.warm_up
 	@touch $@ .venv/.run
 
 clean:

@@ -61,7 +61,7 @@ class Environment(Strict):
     peak_nm: float = Field(445.0, ge=390.0, le=770.0, description="Peak wavelength of the chip's Gaussian spectrum.")
     fwhm_nm: float = Field(18.0, gt=0.0, le=100.0, description="Full width at half maximum of that spectrum.")
     flux_per_chip_w: float = Field(
-        1.48e-3,
+        1.482e-3,
         gt=0.0,
         le=10.0,
         description="Radiant flux one chip emits inside itself; it scales lux, not uniformity.",

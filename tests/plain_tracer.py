@@ -117,7 +117,7 @@ def _inside(cell: PlainCell, at: Real, way: Real, rng: np.random.Generator) -> S
 def _outside(cell: PlainCell, at: Real, way: Real, rng: np.random.Generator) -> Step:
     """To the receiver, the substrate, the chip in the middle of the cell, or the next cell."""
     half, count = cell.width / 2.0, len(at)
-    rows, nobody = np.arange(count), np.zeros(count, bool)
+    rows = np.arange(count)
     low, high = np.array([-half, -half, 0.0]), np.array([half, half, cell.thickness])
     to_plane = np.where(way[:, 2] > 0.0, cell.distance - at[:, 2], -at[:, 2]) / way[:, 2]
     to_edge = (np.copysign(cell.spacing / 2.0, way[:, :2]) - at[:, :2]) / way[:, :2]
@@ -152,7 +152,7 @@ def _outside(cell: PlainCell, at: Real, way: Real, rng: np.random.Generator) -> 
     way = np.where(enters[:, None], through, way)
     way[refused, face[refused]] *= -1.0
     at[chip, face[chip]] += NEAR_UM * np.sign(way[chip, face[chip]])
-    return at, way, enters, {"substrate": lost, "receiver": kept}, landed | nobody
+    return at, way, enters, {"substrate": lost, "receiver": kept}, landed
 
 
 def _refracted(way: Real, axis: NDArray[np.intp], ratio: float) -> Real:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from containers.bsdf import Bsdf, Fresnel, GaussianLobe, SpecularTable
-from containers.ray_tracing.arrays import CONES, ENDS, TRACE, UNFOLD
+from containers.ray_tracing.arrays import CONES, ENDS, TRACE, UNFOLD, SceneArrays
 from containers.ray_tracing.kernel import EVENT_OF_EXIT, EXIT, WEIGHT_OF_EXIT, exits_of_group, land_group, scratch
 from containers.ray_tracing.packing import emission_arrays, scene_arrays
 from containers.ray_tracing.sobol import DIRECTIONS
@@ -51,7 +51,13 @@ def film_face(pairs: float) -> Face:
 
 def chip(**changes: Any) -> Chip:
     """The chip of the golden cases, W 28 T 35, with changes."""
-    given: dict[str, Any] = {"width_um": 28.0, "thickness_um": 35.0, "index": np.array([N]), "top": bare(), "sides": bare()}
+    given: dict[str, Any] = {
+        "width_um": 28.0,
+        "thickness_um": 35.0,
+        "index": np.array([N]),
+        "top": bare(),
+        "sides": bare(),
+    }
     return Chip(**{**given, **changes})
 
 
@@ -72,6 +78,15 @@ def black(**changes: Any) -> Scene:
 Absorber: Bsdf = SpecularTable(np.array([0.0]), np.array([0.0]), np.array([0.0]))
 
 
+def forced(of: Scene, wanted: dict[int, bool | None]) -> SceneArrays:
+    """The arrays of a scene with some flags as they are wanted; None: as they are."""
+    arrays = scene_arrays(of)
+    flags = arrays.flags.copy()
+    for flag, value in wanted.items():
+        flags[flag] = flags[flag] if value is None else value
+    return arrays._replace(flags=flags)
+
+
 def exits_of(
     of: Scene,
     *,
@@ -86,26 +101,38 @@ def exits_of(
 
     `unfold`, `cones` force or forbid the short cuts of the kernel.
     """
-    arrays = scene_arrays(of)
-    flags = arrays.flags.copy()
-    for flag, wanted in ((UNFOLD, unfold), (CONES, cones)):
-        flags[flag] = flags[flag] if wanted is None else wanted
-    arrays = arrays._replace(flags=flags)
-    rays, notes, ledger = np.zeros((count, EXIT), np.float32), np.zeros((count, TRACE), np.float32), np.zeros(len(ENDS))
+    arrays = forced(of, {UNFOLD: unfold, CONES: cones})
+    rays, notes, ledger = (
+        np.zeros((count, EXIT), np.float32),
+        np.zeros((count, TRACE), np.float32),
+        np.zeros(len(ENDS)),
+    )
     found = exits_of_group(
-        arrays, emission_arrays(of), np.uint64(seed), group, 1, 0, count, sobol, DIRECTIONS, rays, notes, ledger, scratch()
+        arrays, emission_arrays(of), np.uint64(seed), group, 1, 0, count, sobol, DIRECTIONS, rays, notes, ledger,
+        scratch(),
     )  # fmt: skip
     return rays[:found], ledger / count, notes[:found]
 
 
-def launched(of: Scene, position: ArrayLike, direction: ArrayLike, groups: int = 1, seed: int = 1) -> Tally:
-    """The tally of rays that start at positions (n, 3) relative to their chip, in directions (n, 3); n per group."""
+def launched(
+    of: Scene,
+    position: ArrayLike,
+    direction: ArrayLike,
+    *,
+    groups: int = 1,
+    seed: int = 1,
+    unfold: bool | None = None,
+) -> Tally:
+    """The tally of rays that start at positions (n, 3) relative to their chip, in directions (n, 3), n in all groups.
+
+    Stored exits leave their chip, so upward rays in a cell may not begin beside it and go towards it.
+    """
     at, way = np.broadcast_arrays(np.asarray(position, float), np.asarray(direction, float))
     rays = np.zeros((at.shape[0], EXIT), np.float32)
     rays[:, :3], rays[:, 3:EVENT_OF_EXIT] = at, way
     rays[:, WEIGHT_OF_EXIT] = 1.0
     tally = Tally.empty(of, groups)
-    arrays, emission = scene_arrays(of), emission_arrays(of)
+    arrays, emission = forced(of, {UNFOLD: unfold}), emission_arrays(of)
     share = rays.shape[0] // groups
     for group in range(groups):
         part = rays[group * share : (group + 1) * share]
@@ -136,11 +163,12 @@ def illuminance(tally: Tally) -> Real:
 
 
 def mode(tally: Tally, m: int, n: int) -> Real:
-    """(group,), mean of cos(2 pi m x / S) cos(2 pi n y / S) over the light of a cell, relative to what was emitted."""
+    """(group,), mean of cos(2 pi m x / S) cos(2 pi n y / S) of a cell's light, relative to what was emitted."""
     bins = tally.cell_bins()
     centre = (np.arange(bins.shape[1]) + 0.5) / bins.shape[1] - 0.5
     return np.asarray(
-        np.einsum("gyx,y,x->g", bins, np.cos(2 * np.pi * n * centre), np.cos(2 * np.pi * m * centre)) / tally.histories
+        np.einsum("gyx,y,x->g", bins, np.cos(2 * np.pi * n * centre), np.cos(2 * np.pi * m * centre))
+        / tally.histories
     )
 
 

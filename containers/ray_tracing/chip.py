@@ -14,7 +14,7 @@ bottom to bottom is one step, whatever number of walls it crosses. x and y stay 
 
 from __future__ import annotations
 
-from math import exp, floor, inf, log, sqrt
+from math import ceil, exp, floor, inf, log, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -169,9 +169,9 @@ def _leaves_at(surfaces: Surfaces, wave: int, n2: float, x: float, dx: float, ha
     if R >= 1.0:
         return inf
     hits = floor(log(u) / log(R)) if R > 0.0 else 0.0
-    tile = floor((x + half) / (2.0 * half))
-    first = (2.0 * half * (tile + 1.0) - half - x) / dx if dx > 0.0 else (2.0 * half * tile - half - x) / dx
-    path = first + hits * 2.0 * half / abs(dx)
+    tile = (x + half) / (2.0 * half)
+    wall = floor(tile) + 1.0 if dx > 0.0 else ceil(tile) - 1.0  # never the one at which the ray has just come in
+    path = (2.0 * half * wall - half - x) / dx + hits * 2.0 * half / abs(dx)
     if until < 1.0:  # the last hit takes the ray: u is uniform between R^(hits + 1) and R^hits
         left = (u / R**hits - R) / (1.0 - R)
         if left > (until - R) / (1.0 - R):

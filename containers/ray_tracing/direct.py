@@ -131,7 +131,14 @@ def open_way(scene: Scene, box: Box) -> Way:
 
 
 def direct_light(
-    scene: Scene, box: Box, exits: Exits, seed: int, *, blocks: int | None = None, threads: int | None = None
+    scene: Scene,
+    box: Box,
+    exits: Exits,
+    seed: int,
+    *,
+    blocks: int | None = None,
+    one_chip: bool = False,
+    threads: int | None = None,
 ) -> Tally:
     """Where the exits of a scene's chips first reach the receiver, group by group; bins (group, layer, y, x).
 
@@ -139,7 +146,7 @@ def direct_light(
     ----------
     box : of the bins; what lies beside a box that is no cell is dropped.
     exits : of the scene's chip. blocks : how many blocks of them, all by default.
-    seed : of what happens on the way.
+    seed : of what happens on the way. one_chip : only that at (0, 0) of a finite module shines.
 
     Notes
     -----
@@ -147,6 +154,8 @@ def direct_light(
     """
     groups, blocks = exits.ends.shape[0], blocks or exits.ledger.shape[1]
     way, emission = open_way(scene, box), emission_arrays(scene)
+    if one_chip:
+        emission = emission._replace(chip_cumulative=np.ones(1), centres_um=np.zeros((1, 2)))
     layers = 2 if np.ptp(scene.receiver.response) > 0.0 or scene.receiver.response[0] != 1.0 else 1
     bins = np.zeros((groups, layers, box.rows, box.columns))
 
@@ -154,7 +163,7 @@ def direct_light(
         own = slice(exits.ends[group, 0], exits.ends[group, blocks])
         weights = np.zeros(0, np.float32) if exits.weights is None else exits.weights[own]
         numbers = np.uint64(seed ^ LANDING), group, groups, exits.first_block * BLOCK
-        land_direct(way, emission, *numbers, exits.rays[own], weights, _nowhere(), scratch(), bins[group])
+        land_direct(way, emission, *numbers, exits.rays[own], weights, nowhere(), scratch(), bins[group])
 
     with ThreadPoolExecutor(threads or usable_threads()) as pool:
         list(pool.map(land, range(groups)))
@@ -162,7 +171,7 @@ def direct_light(
     return Tally(box, bins, exits.ledger[:, :blocks].sum(axis=1), *nothing, histories=BLOCK * blocks)
 
 
-def _nowhere() -> Sinks:
+def nowhere() -> Sinks:
     """Sinks that keep nothing but a ledger."""
     empty = np.zeros((2, 0, 0))
     return Sinks(empty, np.zeros(5), np.zeros(8), np.zeros(len(OPTICAL_EVENTS)), empty)

@@ -168,6 +168,11 @@ def _enter(scene: SceneArrays, wave: int, ray: Real, stream: Stream, face: int) 
     if fate == TRANSMITTED:
         ray[of.X] -= ray[of.CHIP_X]
         ray[of.Y] -= ray[of.CHIP_Y]
+        half = scene.numbers[of.HALF_WIDTH]
+        if face == _CHIP_X:  # exactly on the face, wherever the chip stands
+            ray[of.X] = -half if dx > 0.0 else half
+        elif face == _CHIP_Y:
+            ray[of.Y] = -half if dy > 0.0 else half
     return fate
 
 
@@ -242,7 +247,11 @@ def receive(scene: SceneArrays, wave: int, ray: Real, stream: Stream, sinks: Sin
             shift = numbers[of.SPREAD_SIGMA] * sqrt(2.0 * minus_log(b))
             across, along = cos_sin_turn(c)
             recorded_x, recorded_y = x + shift * across, y + shift * along
-    seen = _response(scene, dz)
+    cosine = dz
+    if tilted:
+        slope_x, slope_y = numbers[of.DISTANCE] * numbers[of.TILT_X], numbers[of.DISTANCE] * numbers[of.TILT_Y]
+        cosine = (dz - slope_x * dx - slope_y * dy) / sqrt(1.0 + slope_x * slope_x + slope_y * slope_y)
+    seen = _response(scene, cosine)
     if scene.flags[of.PERIODIC]:
         recorded_x -= numbers[of.SPACING] * floor(recorded_x / numbers[of.SPACING] + 0.5)
         recorded_y -= numbers[of.SPACING] * floor(recorded_y / numbers[of.SPACING] + 0.5)

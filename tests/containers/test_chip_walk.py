@@ -91,6 +91,12 @@ def test_the_unfolded_walk_is_the_plain_walk(name: str) -> None:
     same_means(a, b, counts, lambda rays: (face_of(rays, half, top) < 2) * rays[:, 2] / top)
     same_means(a, b, counts, lambda rays: (face_of(rays, half, top) < 2) * np.abs(rays[:, 3]))
     same_means(a, b, counts, lambda rays: (face_of(rays, half, top) == 4) * rays[:, 5] ** 2)
+    for face in (0, 2, 4):  # where light is at a face and where it goes hang together
+        for place, way in ((0, 3), (1, 4), (2, 5), (0, 4), (1, 5)):
+            of_pair = lambda rays, face=face, place=place, way=way: (  # noqa: E731  # used in the next line only
+                (face_of(rays, half, top) == face) * rays[:, place] * rays[:, way]
+            )
+            same_means(a, b, counts, of_pair)
     for reach in (20.0, 100.0, 400.0):  # the mean of clear chips has long tails
         with_path = (np.column_stack([rays, notes[:, PATH]]) for rays, notes in ((a, notes_a), (b, notes_b)))
         same_means(*with_path, counts, lambda rays, reach=reach: rays[:, -1] < reach)
@@ -120,7 +126,7 @@ def test_light_born_in_the_escape_cones_only_is_all_the_light(
 
 
 def test_light_born_outside_the_chip_is_not_put_into_its_cones() -> None:
-    """Regression: with a mirror below, Lambert's light from the top face was given directions of the chip's inside."""
+    """Regression: with a mirror below, light from the top face was given directions of the chip's inside."""
     of = scene({"bottom": "mirror", "mirror": Mirror(0.97)}, emission=Emission(from_top=True))
     rays, ledger, _ = exits_of(of, count=8192)
     assert len(rays) == 8192
@@ -154,7 +160,7 @@ def test_a_quarter_of_the_light_escapes_from_a_clear_cuboid(changes: dict[str, A
 
 
 def test_light_going_down_leaves_a_closed_chip_through_its_top() -> None:
-    """Regression: what started downwards within the top's escape cone was booked as trapped (0.2117 left, not 0.253)."""
+    """Regression: what started downwards within the top's escape cone was booked as trapped (0.2117 left)."""
     down = Emission(cosine=np.array([-1.0, -0.95, -0.949]), intensity=np.array([1.0, 1.0, 0.0]))
     rays, ledger, _ = exits_of(scene({"bottom": "mirror", "mirror": Mirror(1.0)}, emission=down), count=4096)
     assert rays[:, WEIGHT_OF_EXIT].sum() / 4096 == pytest.approx(1.0, abs=0.03)
@@ -242,7 +248,10 @@ def test_directions_of_exits_are_units_and_point_away() -> None:
 
 def test_the_top_alone_leaves_lambertian_light_of_lambertian_light() -> None:
     """A chip lit through its volume sends light of an isotropic source out of the top as Fresnel and Snell say."""
-    rays, _, _ = exits_of(scene({"sides": Face((Mirror(1.0),), (Mirror(1.0),)), "bottom": "mirror", "mirror": Mirror(0.0)}), count=65_536)
+    rays, _, _ = exits_of(
+        scene({"sides": Face((Mirror(1.0),), (Mirror(1.0),)), "bottom": "mirror", "mirror": Mirror(0.0)}),
+        count=65_536,
+    )
     mu = np.linspace(np.sqrt(1.0 - 1.0 / N**2), 1.0, 20_001)
     T = 1.0 - Fresnel(N, 1.0).deltas(np.arccos(mu)).mirror
     expected = np.trapezoid(T, mu) / 2.0  # isotropic: mu is uniform from -1 to 1
@@ -251,6 +260,8 @@ def test_the_top_alone_leaves_lambertian_light_of_lambertian_light() -> None:
 
 def test_an_air_gap_keeps_the_substrates_lobe_out_of_the_chip() -> None:
     """Light beyond the critical angle never reaches the substrate: only the escape cones' light leaves."""
-    rays, ledger, _ = exits_of(scene({"bottom": "air_gap"}, substrate=GaussianLobe(1.0, np.radians(5.0))), count=65_536)
+    rays, ledger, _ = exits_of(
+        scene({"bottom": "air_gap"}, substrate=GaussianLobe(1.0, np.radians(5.0))), count=65_536
+    )
     assert rays[:, WEIGHT_OF_EXIT].sum() / 65_536 == pytest.approx(ESCAPE, abs=1.5e-3)
     assert ledger[ENDS.index("substrate")] == 0.0

@@ -34,7 +34,11 @@ def landed(of: Scene, exits: Exits, seed: int = 3, histories: int | None = None,
 
 def same_bits(a: Tally, b: Tally) -> bool:
     """Whether bins, ledgers and arrivals are equal to the last bit."""
-    return np.array_equal(a.bins, b.bins) and np.array_equal(a.ledger, b.ledger) and np.array_equal(a.arrivals, b.arrivals)
+    return (
+        np.array_equal(a.bins, b.bins)
+        and np.array_equal(a.ledger, b.ledger)
+        and np.array_equal(a.arrivals, b.arrivals)
+    )
 
 
 def agree(a: Tally, b: Tally, most: float = 4.0) -> None:
@@ -62,7 +66,9 @@ def test_a_later_batch_is_the_end_of_a_larger_set() -> None:
     """`first_block` says where a batch begins, whoever made what before it."""
     whole, batch = make_exits(scene(), 5, 3 * BLOCK, groups=4), make_exits(scene(), 5, BLOCK, first_block=2, groups=4)
     for group in range(4):
-        assert np.array_equal(whole.rays[whole.ends[group, 2] : whole.ends[group, 3]], batch.rays[slice(*batch.ends[group])])
+        assert np.array_equal(
+            whole.rays[whole.ends[group, 2] : whole.ends[group, 3]], batch.rays[slice(*batch.ends[group])]
+        )
     assert np.array_equal(whole.ledger[:, 2:], batch.ledger)
 
 
@@ -90,7 +96,13 @@ def test_what_is_outside_the_chip_does_not_change_its_key() -> None:
     key = chip_key(scene())
     tilted = scene(layout=Array.regular(2, 2, 300.0), tilt_per_um=(1e-4, 0.0))
     spread = scene(receiver=Receiver(Lambertian(0.5), spread_share=0.5, spread_um=9.0, response=np.array([0.5, 1.0])))
-    for other in (scene(distance_um=100.0), scene(layout=Cell(300.0)), scene(receiver=lambertian_receiver(0.1)), tilted, spread):
+    for other in (
+        scene(distance_um=100.0),
+        scene(layout=Cell(300.0)),
+        scene(receiver=lambertian_receiver(0.1)),
+        tilted,
+        spread,
+    ):
         assert chip_key(other) == key
 
 
@@ -126,7 +138,8 @@ LANDED: dict[str, Scene] = {
     "case B": scene(),
     "close and dense": scene(distance_um=100.0, layout=Cell(300.0)),
     "far and sparse": scene(distance_um=180.0, layout=Cell(700.0)),
-    "large chip, much light returns": scene(LARGE, distance_um=100.0, layout=Cell(300.0), receiver=lambertian_receiver(0.8)),
+    "large chip, much light returns": scene(
+        LARGE, distance_um=100.0, layout=Cell(300.0), receiver=lambertian_receiver(0.8)),
     "large absorbing chip with film": scene(
         {**LARGE, "absorption_per_um": 0.02, "top": film_face(5.5)}, distance_um=100.0, layout=Cell(300.0)),
     "mirror bottom": scene(

@@ -129,13 +129,20 @@ def test_light_from_a_tilted_receiver_comes_back_by_lamberts_law_about_its_norma
     tilt, distance = (2.5e-3, 0.0), 200.0
     layout = Array.regular(1, 1, 500.0)
     of = scene(
-        SMALL, layout=layout, distance_um=distance, tilt_per_um=tilt, substrate=Mirror(0.0), receiver=lambertian_receiver(0.5)
+        SMALL,
+        layout=layout,
+        distance_um=distance,
+        tilt_per_um=tilt,
+        substrate=Mirror(0.0),
+        receiver=lambertian_receiver(0.5),
     )
     tally = launched(of, np.array([[0.0, 0.0, 5.0]]), np.array([[0.0, 0.0, 1.0]] * 40_000))
     normal = np.array([distance * tilt[0], -1.0])
     normal /= np.linalg.norm(normal)
     w = lambert_up(400_000, 9)  # the same about a normal (x, z) that is turned about y
-    turned = np.column_stack([w[:, 2] * normal[0] - w[:, 0] * normal[1], w[:, 1], w[:, 2] * normal[1] + w[:, 0] * normal[0]])
+    turned = np.column_stack(
+        [w[:, 2] * normal[0] - w[:, 0] * normal[1], w[:, 1], w[:, 2] * normal[1] + w[:, 0] * normal[0]]
+    )
     path = np.where(turned[:, 2] < 0.0, -distance / turned[:, 2], np.inf)
     at = turned[:, :2] * np.minimum(path, 1e9)[:, None]
     hit = (np.abs(at) < 250.0).all(axis=1) & (turned[:, 2] < 0.0)
@@ -245,7 +252,9 @@ def displaced() -> Array:
     return replace(layout, offset_um=rng.uniform(-110.0, 110.0, (5, 4, 2)))
 
 
-@pytest.mark.parametrize("layout", [Cell(300.0), Array.regular(5, 4, 300.0), displaced()], ids=["cell", "array", "displaced"])
+@pytest.mark.parametrize(
+    "layout", [Cell(300.0), Array.regular(5, 4, 300.0), displaced()], ids=["cell", "array", "displaced"]
+)
 def test_neighbours_are_found_as_brute_force_finds_them(layout: Cell | Array) -> None:
     """Rays from anywhere, many of them grazing: what is met first, where, on which face of which chip."""
     of = scene({"width_um": 60.0, "thickness_um": 50.0}, layout=layout, distance_um=100.0)
@@ -310,6 +319,56 @@ def test_straight_down_on_a_chip_meets_its_top() -> None:
     assert (what, path) == (7, pytest.approx(145.0))
 
 
+SIDES = {"-x": (-1.0, 0.0), "+x": (1.0, 0.0), "-y": (0.0, -1.0), "+y": (0.0, 1.0)}
+"""Outward normals."""
+
+
+def onto_a_side(normal: tuple[float, float], count: int, half: float, top: float) -> tuple[Real, Real]:
+    """Places 5 um before a side of a chip and directions, downwards by Lambert's law, onto it."""
+    rng, w = np.random.default_rng(4), lambert_up(count, 8)
+    x, y = normal
+    along, up = rng.uniform(-half, half, count), rng.uniform(top / 2.0, top, count)
+    at = np.column_stack([x * (half + 5.0) - y * along, y * (half + 5.0) + x * along, up])
+    return at, np.column_stack([-x * w[:, 2] - y * w[:, 0], -y * w[:, 2] + x * w[:, 0], -0.1 * np.abs(w[:, 1])])
+
+
+@pytest.mark.parametrize("unfold", [True, False])
+@pytest.mark.parametrize("side", SIDES)
+def test_light_that_enters_a_side_crosses_the_chip(side: str, unfold: bool) -> None:
+    """Regression: what came in through +x or +y was at once at that wall again, and left: 0.15 absorbed, not 0.7."""
+    alpha, half, top = 0.02, 30.0, 20.0
+    of = black(
+        chip_changes={
+            "width_um": 60.0, "thickness_um": top, "absorption_per_um": alpha, "bottom": "mirror", "mirror": Mirror(0.9),
+        },
+        layout=ONE,
+    )  # fmt: skip
+    normal = np.array([*SIDES[side], 0.0])
+    place = normal * (half + 5.0) + [0.0, 0.0, 10.0]
+    tally = launched(of, np.tile(place, (20_000, 1)), -normal + [0.0, 0.0, -1e-6], unfold=unfold)
+    R = ((N - 1.0) / (N + 1.0)) ** 2
+    passed = np.exp(-alpha * 60.0)
+    absorbed = (1.0 - R) * (1.0 - passed) / (1.0 - R * passed)
+    assert tally.ledger_per_history["chip"] == pytest.approx(absorbed, abs=4.0 * 0.5 / np.sqrt(20_000))
+
+
+def test_all_sides_of_a_chip_take_the_same_light() -> None:
+    """Lambert's light onto each of the four sides: the same ends, by either walk, in a cell and displaced."""
+    chip = {"width_um": 60.0, "thickness_um": 20.0, "absorption_per_um": 0.02}
+    offset = np.full((1, 1, 2), 1.0 / 3.0)
+    layouts = (Cell(300.0), replace(Array.regular(1, 1, 300.1), offset_um=offset))
+    found = {}
+    for number, layout in enumerate(layouts):
+        of = black(chip_changes={**chip, "bottom": "mirror", "mirror": Mirror(0.9)}, layout=layout)
+        for side, normal in SIDES.items():
+            for unfold in (True, False):
+                tally = launched(of, *onto_a_side(normal, 20_000, 30.0, 20.0), unfold=unfold)
+                found[number, side, unfold] = [tally.ledger_per_history[end] for end in ("chip", "substrate")]
+    for number in range(len(layouts)):
+        spread = np.ptp([ends for (of_layout, _, _), ends in found.items() if of_layout == number], axis=0)
+        assert np.all(spread < 6.0 * 0.5 / np.sqrt(20_000)), found
+
+
 def test_a_cell_gives_the_same_light_wherever_it_is_cut() -> None:
     """Light that lands beyond the cell is folded back: bins hold every arrival."""
     tally = MonteCarlo(scene(), 5).run_to(1024)
@@ -342,6 +401,16 @@ def test_the_response_weighs_what_is_recorded_and_nothing_else() -> None:
     assert b.bins.sum() / a.bins.sum() == pytest.approx(2 / 3, abs=2e-3)  # Lambert's mean cosine
 
 
+def test_the_response_of_a_tilted_receiver_is_about_its_normal() -> None:
+    """Regression: the cosine to the vertical was taken. Straight up, 30 deg on the receiver; and level with it."""
+    slope = np.tan(np.radians(30.0))
+    for way, cosine in (((0.0, 0.0, 1.0), np.cos(np.radians(30.0))), ((-0.5, 0.0, np.sqrt(0.75)), 1.0)):
+        of = black(chip_changes=SMALL, layout=ONE, distance_um=200.0, tilt_per_um=(slope / 200.0, 0.0))
+        of = replace(of, receiver=replace(of.receiver, response=np.array([0.0, 1.0])))
+        tally = launched(of, np.array([[0.0, 0.0, 5.0]]), np.array([way] * 10))
+        assert tally.bins.sum() / tally.arrivals.sum() == pytest.approx(cosine, abs=1e-6)
+
+
 def test_a_receiver_that_lets_light_through_has_taken_it() -> None:
     """Regression: what the plate transmits counts as taken, not as lost in roulette; arrivals are as without it."""
     absorbing = scene(receiver=lambertian_receiver(0.35))
@@ -353,8 +422,3 @@ def test_a_receiver_that_lets_light_through_has_taken_it() -> None:
     receiver = ENDS.index("receiver")
     (m, e), (n, f) = (mean_and_error(tally.ledger[:, receiver] / tally.histories) for tally in (a, b))
     assert abs(m - n) < 4.0 * np.hypot(e, f)
-
-
-def test_the_index_is_that_of_the_chip() -> None:
-    """What the other tests rely on."""
-    assert pytest.approx(N) == scene().chip.index[0]

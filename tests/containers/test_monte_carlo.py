@@ -34,7 +34,7 @@ def same_bits(a: Tally, b: Tally) -> bool:
 
 
 def cut_of_16(tally: Tally) -> tuple[Any, Any]:
-    """Relative illuminance and error in 8 of 16 bins per pitch, from the chip to the edge, in the row next to y = 0."""
+    """Relative illuminance and error in 8 of 16 bins per pitch, from chip to edge, in the row next to y = 0."""
     bins = tally.cell_bins() / tally.histories
     size = bins.shape[1] // 16
     coarse = bins.reshape(len(bins), 16, size, 16, size).sum(axis=(2, 4)) * 256.0
@@ -51,7 +51,9 @@ def golden(request: pytest.FixtureRequest) -> tuple[dict[str, Any], Tally]:
 def test_the_mean_is_that_of_the_golden_case(golden: tuple[dict[str, Any], Tally]) -> None:
     """Within three standard errors, ours and that of the golden value (0.0004 for A, 0.0006 for B)."""
     case, tally = golden
-    name = next(name for name in case["mean"] if name.startswith("own") and "cap" not in name.replace("no bounce cap", ""))
+    name = next(
+        name for name in case["mean"] if name.startswith("own") and "cap" not in name.replace("no bounce cap", "")
+    )
     error_of_golden = 4e-4 if "Lambertian" in case["source"] else 6e-4
     mean, error = mean_and_error(illuminance(tally))
     assert abs(mean - case["mean"][name]) < 3.0 * np.hypot(error, error_of_golden), (mean, error)
@@ -137,14 +139,18 @@ def test_the_error_falls_as_one_over_the_square_root() -> None:
     """Sixteen times the random histories: a quarter of the spread; Sobol's error falls at least as fast."""
     of = scene(emission=Emission(from_top=True))
     for sobol in (False, True):
-        errors = [mean_and_error(mode(MonteCarlo(of, 1, groups=64, sobol=sobol).run_to(n), 1, 0))[1] for n in (256, 4096)]
+        errors = [
+            mean_and_error(mode(MonteCarlo(of, 1, groups=64, sobol=sobol).run_to(n), 1, 0))[1] for n in (256, 4096)
+        ]
         assert errors[0] / errors[1] > 3.0
         assert sobol or errors[0] / errors[1] < 5.3
 
 
 def test_sobol_and_random_points_agree_and_sobol_is_no_worse() -> None:
     """The same mean within errors."""
-    a, b = (MonteCarlo(scene(emission=Emission(from_top=True)), 1, sobol=sobol).run_to(4096) for sobol in (True, False))
+    a, b = (
+        MonteCarlo(scene(emission=Emission(from_top=True)), 1, sobol=sobol).run_to(4096) for sobol in (True, False)
+    )
     (x, e), (y, f) = mean_and_error(mode(a, 1, 0)), mean_and_error(mode(b, 1, 0))
     assert abs(x - y) < 4.0 * np.hypot(e, f)
     assert e < 1.3 * f
@@ -205,7 +211,9 @@ OFF: dict[str, Scene] = {
     "no spread": replace(scene(), receiver=replace(scene().receiver, spread_share=0.0, spread_um=50.0)),
     "spread by nothing": replace(scene(), receiver=replace(scene().receiver, spread_share=1.0, spread_um=0.0)),
     "response of ones": replace(scene(), receiver=replace(scene().receiver, response=np.ones(33))),
-    "isotropic table": scene(emission=Emission(position=np.ones((1, 1)), cosine=np.array([-1.0, 1.0]), intensity=np.full(2, 7.0))),
+    "isotropic table": scene(
+        emission=Emission(position=np.ones((1, 1)), cosine=np.array([-1.0, 1.0]), intensity=np.full(2, 7.0))
+    ),
 }
 
 
@@ -281,7 +289,11 @@ def test_a_sampled_line_of_one_wavelength_is_the_averaged_one() -> None:
     means = []
     for spectrum in ("averaged", "sampled"):
         environment = Environment(spectrum=spectrum)
-        means.append(illuminance(MonteCarlo(scene_of(environment, design, narrow, cell_of(environment, design)), 1).run_to(1024)))
+        means.append(
+            illuminance(
+                MonteCarlo(scene_of(environment, design, narrow, cell_of(environment, design)), 1).run_to(1024)
+            )
+        )
     assert means[0] == pytest.approx(means[1], abs=1e-12)
 
 

@@ -37,7 +37,11 @@ def clear_face() -> tuple[Face, Callable[[Real], Real]]:
 
 
 def both(
-    face: tuple[Face, Callable[[Real], Real]], size: dict[str, float], per_cm: float, depth: float | None, mirror: float | None
+    face: tuple[Face, Callable[[Real], Real]],
+    size: dict[str, float],
+    per_cm: float,
+    depth: float | None,
+    mirror: float | None,
 ) -> tuple[Scene, PlainCell]:
     """The same cell for either program."""
     top, reflectance = face

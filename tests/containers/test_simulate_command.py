@@ -90,7 +90,7 @@ class Slow:
         self._looks, self._interrupted = looks, interrupted
         self._done, self.withdrawn = Interrupt(), list[str]()
 
-    def run(self, task: Task, *, limit_s: float, until: Interrupt | None = None) -> Answer:
+    def run(self, task: Task, *, limit_s: float, until: Interrupt | None = None) -> Answer:  # noqa: ARG002  # as a client
         """Wait for the last look, or until nobody wants it any more."""
         if until is not None:
             with until.ends(self._done.set):

@@ -133,7 +133,7 @@ def test_the_cut_is_the_line_of_the_uniformity() -> None:
 
 def test_flux_scales_lux_and_nothing_else() -> None:
     """Twice the flux: twice the lux, the same ratios."""
-    twice, arrays = traced(request(environment={"flux_per_chip_w": 2 * 1.48e-3}))
+    twice, arrays = traced(request(environment={"flux_per_chip_w": 2 * 1.482e-3}))
     once = plain()[0]
     np.testing.assert_allclose(arrays["map_lx"], 2.0 * plain()[1]["map_lx"], rtol=1e-6)
     lux = (
@@ -200,6 +200,27 @@ def test_lux_of_a_module_is_of_all_its_chips() -> None:
     )
     twice = {name: 2.0 * value for name, value in alone.items()}
     assert within_errors(twice, both)
+
+
+def test_a_column_of_two_chips_stands_upright() -> None:
+    """The upper chip shines: light in the upper rows; the line is its row, y = 250 um, from edge to edge."""
+    array = {"rows": 2, "columns": 1, "power": [0.0, 1.0]}
+    result, arrays = traced(request(array=array, histories=4 * GROUPS * BLOCK))
+    assert arrays["map_lx"].shape == (64, 32)
+    assert arrays["map_lx"][32:].mean() > 2.0 * arrays["map_lx"][:32].mean()
+    assert result["cut"]["y_um"] == 250.0
+    assert (arrays["cut_x_um"][0], arrays["cut_x_um"][-1]) == (-250.0, 250.0)
+    beside = arrays["map_lx"][47:49].mean()  # y = 242 and 258 um
+    assert arrays["cut_lx"].mean() == pytest.approx(beside, rel=0.02)
+
+
+def test_the_far_field_of_a_module_is_of_all_its_chips() -> None:
+    """In 1/sr per flux of one chip: two chips send twice what each sends; the ratio is of all that was emitted."""
+    result, arrays = traced(request(far_field=True, array={"rows": 1, "columns": 2}))
+    per_sr, ratio = arrays["far_module_per_sr"], result["far_field"]["module"]["flux_ratio"]["value"]
+    assert per_sr.sum() * 2.0 * np.pi / per_sr.size == pytest.approx(2.0 * ratio, rel=1e-9)
+    events = result["optical_events"]
+    assert ratio == pytest.approx(sum(events[name]["value"] for name in EVENTS[:3]), rel=1e-9)
 
 
 def test_the_line_of_a_module_is_its_middle_half() -> None:

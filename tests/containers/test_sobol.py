@@ -1,4 +1,4 @@
-"""Scrambled Sobol points: the published sequence, a net in every scramble, scrambles that know nothing of each other."""
+"""Scrambled Sobol points: the published sequence, a net in every scramble, scrambles independent of each other."""
 
 from __future__ import annotations
 

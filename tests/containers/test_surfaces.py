@@ -98,7 +98,6 @@ def drawn(
 
 def same_distribution(a: Real, b: Real) -> float:
     """p-value of the chi-square test that directions (n, 3) and (m, 3) are drawn alike."""
-    cells = np.zeros((2, 0))
     codes = [np.zeros(len(a), int), np.zeros(len(b), int)]
     for axis in range(3):
         edges = np.unique(np.round(np.quantile(b[:, axis], np.linspace(0.0, 1.0, 6)[1:-1]), 9))
@@ -114,7 +113,7 @@ def same_distribution(a: Real, b: Real) -> float:
 
 @pytest.mark.parametrize("name", OPAQUE)
 def test_the_share_that_goes_on_is_the_albedo(name: str) -> None:
-    """At every angle, for every kind: 1 - absorbed = albedo within four standard errors, and the kernel's albedo is it."""
+    """At every angle, for every kind: 1 - absorbed = albedo within four standard errors, as the kernel says."""
     bsdf, arrays = OPAQUE[name], packed(OPAQUE[name])
     for theta in ANGLES:
         fates, _ = drawn(arrays, SUBSTRATE, theta, count=2000)
@@ -143,7 +142,9 @@ def test_directions_follow_the_intensity(name: str) -> None:
     bsdf, theta = OPAQUE[name], np.radians(70.0)
     fates, ways = drawn(packed(bsdf), SUBSTRATE, theta)
     z_edges, phi_edges = np.linspace(-1.0, 1.0, 13), np.linspace(-np.pi, np.pi, 13)
-    fine_z, fine_phi = ((e[:-1, None] + np.diff(e)[:, None] * (np.arange(24) + 0.5) / 24).ravel() for e in (z_edges, phi_edges))
+    fine_z, fine_phi = (
+        (e[:-1, None] + np.diff(e)[:, None] * (np.arange(24) + 0.5) / 24).ravel() for e in (z_edges, phi_edges)
+    )
     power = bsdf.intensity(theta, direction_of(np.arccos(fine_z)[:, None], fine_phi))
     expected = power.reshape(12, 24, 12, 24).mean(axis=(1, 3)) * (4.0 * np.pi / 144) * fates.size
     mirror = np.abs(ways - direction_of(theta, 0.0)).max(axis=1) < 1e-9
@@ -188,7 +189,9 @@ def test_a_clear_face_refracts_by_snells_law_and_reflects_by_fresnels(row: int, 
         through, back = ways[fates == TRANSMITTED], ways[fates == REFLECTED]
         assert np.allclose(back, direction_of(theta, 0.0), atol=1e-12)
         if len(through):
-            assert np.allclose(through, direction_of(np.pi - np.arcsin(n_in / n_out * np.sin(theta)), 0.0), atol=1e-12)
+            assert np.allclose(
+                through, direction_of(np.pi - np.arcsin(n_in / n_out * np.sin(theta)), 0.0), atol=1e-12
+            )
 
 
 @pytest.mark.parametrize(("pairs", "worst"), [(0.5, 2e-5), (5.5, 2e-5), (9.5, 5e-5)])

@@ -1,0 +1,120 @@
+"""What a finite module's receiver sends back and gets again: the iteration of `closure` on a coarse grid.
+
+    I <- rho_r w F^-1[T F(w (E0 + I))],  w = 1 inside the module
+
+What comes up is as wide as twice the distance, so a grid of a fifth of the distance is enough; its waves are summed
+where they are wanted. The kernels of mirror and Lambert's law are laid out in space, so that nothing comes round from
+the other end of the grid; by what a lobe differs from a mirror is short, and is taken in waves.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from containers.bsdf import Bsdf, Lambertian
+from containers.ray_tracing.closure import round_trip, ways_of
+from containers.ray_tracing.direct import lambertian_part
+from containers.ray_tracing.field import lambert_transform
+from containers.scene import Array, Receiver
+from luxloop.errors import InputError
+
+Real = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+STEPS_PER_DISTANCE = 5.0
+TOLERANCE = 1e-6
+MOST_ITERATIONS = 200
+
+
+class Exchange:
+    """Receiver and substrate of a finite module with open edges, facing each other.
+
+    Parameters
+    ----------
+    returned : factor on what comes up again, for the chips that stand in the way.
+    """
+
+    def __init__(
+        self, layout: Array, substrate: Bsdf, receiver: Receiver, distance_um: float, returned: float = 1.0
+    ) -> None:
+        halves = layout.half_y_um, layout.half_x_um
+        self._shape = tuple(int(np.ceil(2.0 * half * STEPS_PER_DISTANCE / distance_um)) for half in halves)
+        self._step = tuple(2.0 * half / count for half, count in zip(halves, self._shape, strict=True))
+        self._padded = tuple(2 * count for count in self._shape)
+        ky, kx = (2.0 * np.pi * np.fft.fftfreq(n, step) for n, step in zip(self._padded, self._step, strict=True))
+        self._k = np.hypot(ky[:, None], kx[: self._padded[1] // 2 + 1])
+        self._kept = lambertian_part(receiver.bsdf)[0] * returned
+        ways = ways_of(substrate)
+        self._diffuse = sum(share for kind, _, share in ways if kind is Lambertian)
+        direct = sum(share for kind, _, share in ways if kind is not Lambertian)
+        x = self._k * distance_um
+        in_waves = round_trip(substrate, receiver, x) - direct * lambert_transform(2.0 * x)
+        if self._diffuse:
+            in_waves -= self._diffuse * lambert_transform(x) ** 2
+        self._straight = direct * self._by_lambert(2.0 * distance_um) + in_waves
+        self._down = self._by_lambert(distance_um)
+        self._more_recorded = round_trip(substrate, receiver, x, recorded=True) - round_trip(substrate, receiver, x)
+
+    @property
+    def centres_um(self) -> tuple[Real, Real]:
+        """x and y of the grid's cells, from edge to edge of the module."""
+        y, x = (
+            (np.arange(n) - (n - 1) / 2.0) * step for n, step in zip(self._shape, self._step, strict=True)
+        )
+        return x, y
+
+    def solve(self, direct: Real) -> Complex:
+        """Waves of the light that comes again, for direct light (y, x) at the grid's centres.
+
+        Raises
+        ------
+        InputError where the iteration does not settle to 1e-6 of the largest value within 200 steps.
+        """
+        again, largest = np.zeros_like(direct), float(np.abs(direct).max())
+        for _ in range(MOST_ITERATIONS):
+            waves = self._once(direct + again)
+            before, again = again, self._inside(waves)
+            if float(np.abs(again - before).max()) <= TOLERANCE * largest:
+                sent = np.fft.rfft2(direct + again, self._padded)
+                return np.asarray(waves + self._kept * self._more_recorded * sent)
+        raise InputError("receiver", self._kept, "less light sent back and forth", "the iteration does not settle")
+
+    def sum_up(self, waves: Complex, x_um: Real, y_um: Real, spread: Real | None = None) -> Real:
+        """Waves summed at every crossing (y, x) of the given places; `spread` is a factor on each, at `wavenumbers`."""
+        rows, columns = self._padded
+        x0, y0 = (centres[0] for centres in self.centres_um)
+        ky = 2.0 * np.pi * np.fft.fftfreq(rows, self._step[0])
+        kx = 2.0 * np.pi * np.arange(columns // 2 + 1) / (columns * self._step[1])
+        twice = np.where((np.arange(kx.size) == 0) | (np.arange(kx.size) == columns // 2), 1.0, 2.0)
+        along_x = np.exp(1j * np.outer(x_um - x0, kx)) * twice
+        along_y = np.exp(1j * np.outer(y_um - y0, ky))
+        shaped = waves if spread is None else waves * spread
+        return np.asarray((along_y @ shaped @ along_x.T).real / (rows * columns))
+
+    @property
+    def wavenumbers(self) -> Real:
+        """Of the waves, rad/um."""
+        return self._k
+
+    def _once(self, light: Real) -> Complex:
+        """Waves of what comes up again of the light on the grid."""
+        sent = np.fft.rfft2(light, self._padded)
+        waves = sent * self._straight
+        if self._diffuse:
+            on_substrate = self._inside(sent * self._down)
+            waves = waves + self._diffuse * np.fft.rfft2(on_substrate, self._padded) * self._down
+        return np.asarray(self._kept * waves)
+
+    def _inside(self, waves: Complex) -> Real:
+        rows, columns = self._shape
+        return np.asarray(np.fft.irfft2(waves, self._padded)[:rows, :columns])
+
+    def _by_lambert(self, height_um: float) -> Real:
+        """Transform of h^2 / (pi (r^2 + h^2)^2) as it lies on the grid."""
+        dy, dx = (np.fft.fftfreq(n, 1.0 / (n * step)) for n, step in zip(self._padded, self._step, strict=True))
+        r2 = np.add.outer(dy**2, dx**2)
+        kernel = height_um**2 / (np.pi * (r2 + height_um**2) ** 2) * self._step[0] * self._step[1]
+        return np.asarray(np.fft.rfft2(kernel).real)

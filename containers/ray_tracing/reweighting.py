@@ -1,0 +1,152 @@
+"""Stored exits of one chip made to stand for those of a slightly other one: a factor on each exit's weight.
+
+Whether a ray is reflected at the chip's bottom or top is drawn as often as it happens, so what another chip would have
+done more or less often is a ratio of probabilities; absorption dims a ray along its path, so it is a ratio of weights:
+
+    (rho' / rho)^bottom hits   x   exp(-(a' - a) path)   x   prod R'(u_i) / R(u_i)   x   T'(u) / T(u) where it left by the top
+
+Over reflections at the top inside the escape cone; of them the walk notes the number and the first four cosines.
+Nothing is lost or made on average, at any change; but the larger the change, the fewer exits carry the light.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from containers.bsdf import Bsdf, Lambertian
+from containers.ray_tracing.arrays import BOTTOM_HITS, DX, DY, PATH, TOP_COSINES, TOP_HITS, TRACE, Z
+from containers.ray_tracing.direct import without_loss
+from containers.ray_tracing.exits import Exits, chip_key
+from containers.ray_tracing.kernel import WAVE_OF_EXIT, WEIGHT_OF_EXIT
+from containers.scene import Scene
+from luxloop.errors import InputError
+
+Real = NDArray[np.float64]
+
+NOTED = TRACE - TOP_COSINES
+"""Cosines at the top that are noted."""
+
+
+@dataclass(frozen=True)
+class Reweighted:
+    """Exits with the weights of another chip, and how good they are."""
+
+    exits: Exits
+    inexact_share: float
+    """Share of the light whose weight is not exact: rays with more than four reflections at a top that has changed."""
+    effective_share: float
+    """Effective number of exits over their number, (sum w)^2 / sum w^2 after over before: 1 for no change."""
+
+
+def reweighted(exits: Exits, stored: Scene, wanted: Scene) -> Reweighted:
+    """The exits of the chip of `stored` with the weights they have for the chip of `wanted`.
+
+    Parameters
+    ----------
+    exits : made with `notes`; weights they already have are kept as factors.
+
+    Raises
+    ------
+    InputError : exits without notes; chips that differ in more than the bottom's reflectance, the absorption and the top
+        face, or do so in a way that was not noted (an air gap with another substrate, light where there was none).
+
+    Notes
+    -----
+    Of reflections at the top beyond the fourth, each counts as the mean (of logarithms) of those that are noted.
+    """
+    if exits.notes.shape != (len(exits.rays), TRACE):
+        raise InputError("exits", "without notes", "exits with notes", "make them with notes=True")
+    factor = _bottom_factor(exits, stored, wanted)
+    path_um = exits.notes[:, PATH].astype(float)
+    factor *= np.exp(-(wanted.chip.absorption_per_um - stored.chip.absorption_per_um) * path_um)
+    several = np.zeros(len(factor), bool)
+    if not _same_face(stored.chip.top.inside, wanted.chip.top.inside):
+        factor *= _top_factor(exits, stored, wanted)
+        several = exits.notes[:, TOP_HITS] > NOTED
+    before = exits.rays[:, WEIGHT_OF_EXIT].astype(float) * (1.0 if exits.weights is None else exits.weights)
+    after = before * factor
+    weights = (factor if exits.weights is None else factor * exits.weights).astype(np.float32)
+    return Reweighted(
+        replace(exits, weights=weights),
+        float(after[several].sum() / after.sum()),
+        _effective(after) / _effective(before),
+    )
+
+
+def can_reweight(stored: Scene, wanted: Scene) -> bool:
+    """Whether exits of the one chip can stand for the other's."""
+    try:
+        _refuse_other_chip(stored, wanted)
+    except InputError:
+        return False
+    return True
+
+
+def _bottom_factor(exits: Exits, stored: Scene, wanted: Scene) -> Real:
+    _refuse_other_chip(stored, wanted)
+    (_, kept), (_, now) = (without_loss(_bottom(scene)) for scene in (stored, wanted))
+    return np.asarray((now / kept) ** exits.notes[:, BOTTOM_HITS].astype(float)) if now != kept else np.ones(len(exits.rays))
+
+
+def _bottom(scene: Scene) -> Bsdf:
+    return scene.chip.mirror if scene.chip.mirror is not None else scene.substrate
+
+
+def _refuse_other_chip(stored: Scene, wanted: Scene) -> None:
+    """InputError where the two chips differ in what the exits do not note."""
+    mend = "make the exits of this chip"
+    (bare, kept), (other, now) = map(_without_what_is_noted, (stored, wanted))
+    if kept == 0.0 and now > 0.0:
+        raise InputError("bottom reflectance", now, "0, as it was: no exit tells what it would send back", mend)
+    if stored.chip.bottom == "air_gap" and kept != now:
+        raise InputError("substrate", now, f"reflectance {kept:g}: hits in the gap are not noted", mend)
+    if chip_key(bare) != chip_key(other):
+        raise InputError("chip", "another", "alike but for bottom reflectance, absorption and top", mend)
+
+
+def _without_what_is_noted(scene: Scene) -> tuple[Scene, float]:
+    """The scene with a bare, clear chip on a bottom without loss, and the bottom's reflectance."""
+    bottom, kept = without_loss(_bottom(scene))
+    own = scene.chip.mirror is not None
+    chip = replace(scene.chip, top=scene.chip.sides, absorption_per_um=0.0, mirror=bottom if own else None)
+    return replace(scene, chip=chip, substrate=Lambertian(1.0) if own else bottom), kept
+
+
+def _same_face(one: tuple[Bsdf, ...], other: tuple[Bsdf, ...]) -> bool:
+    theta = np.linspace(0.0, np.pi / 2, 257)
+    return one is other or all(
+        np.array_equal(np.stack(a.deltas(theta)), np.stack(b.deltas(theta))) for a, b in zip(one, other, strict=True)
+    )
+
+
+def _top_factor(exits: Exits, stored: Scene, wanted: Scene) -> Real:
+    """Ratios of the reflections and transmissions at the two tops, multiplied."""
+    factor = np.ones(len(exits.rays))
+    waves = exits.rays[:, WAVE_OF_EXIT].astype(int)
+    for wave, n in enumerate(stored.chip.index):
+        own = np.flatnonzero(waves == wave)
+        before, after = stored.chip.top.inside[wave], wanted.chip.top.inside[wave]
+        hits = exits.notes[own, TOP_HITS]
+        noted = np.arange(NOTED) < hits[:, None]
+        rays, places = np.nonzero(noted)
+        ratio = _ratio(before, after, exits.notes[own][rays, TOP_COSINES + places], "mirror")
+        log = np.bincount(rays, np.log(np.maximum(ratio, 1e-300)), minlength=own.size)
+        factor[own] *= np.exp(log * np.maximum(1.0, hits / NOTED))
+        through = own[exits.rays[own, Z] >= np.float32(stored.chip.thickness_um)]
+        u2 = exits.rays[through, DX].astype(float) ** 2 + exits.rays[through, DY].astype(float) ** 2
+        factor[through] *= _ratio(before, after, np.sqrt(1.0 - u2 / n**2), "refracted")
+    return factor
+
+
+def _ratio(before: Bsdf, after: Bsdf, cosine: Real, part: str) -> Real:
+    theta = np.arccos(np.minimum(cosine, 1.0))
+    power, now = (getattr(face.deltas(theta), part) for face in (before, after))
+    return np.asarray(np.divide(now, power, out=np.ones_like(power), where=power > 0.0))
+
+
+def _effective(weight: Real) -> float:
+    total = float(np.sum(weight * weight))
+    return float(np.sum(weight)) ** 2 / total if total > 0.0 else 0.0
