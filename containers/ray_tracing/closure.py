@@ -16,7 +16,6 @@ Source of the first two: the transform of h^2 / (pi (r^2 + h^2)^2) is kh K1(kh).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -34,11 +33,10 @@ LAST_X, NODES_X = 8.0, 65
 """Of the table of what a lobe's transform has beyond a mirror's; both are below 1e-4 at its end."""
 _SLOPES, _U = np.polynomial.legendre.leggauss(200), np.polynomial.legendre.leggauss(14)
 AZIMUTHS = 16
+_LAMBERT_NODES, _LAMBERT_END = 12_001, 40.0
 _J0_NEAR = (1.0, -2.2499997, 1.2656208, -0.3163866, 0.0444479, -0.0039444, 0.0002100)
 _J0_AMPLITUDE = (0.79788456, -0.00000077, -0.00552740, -0.00009512, 0.00137237, -0.00072805, 0.00014476)
 _J0_PHASE = (-0.78539816, -0.04166397, -0.00003954, 0.00262573, -0.00054125, -0.00029333, 0.00013558)
-TOLERANCE = 1e-6
-MOST_ITERATIONS = 500
 
 
 def round_trip(substrate: Bsdf, receiver: Receiver, x: ArrayLike, *, recorded: bool = False) -> Real:
@@ -62,6 +60,17 @@ def round_trip(substrate: Bsdf, receiver: Receiver, x: ArrayLike, *, recorded: b
         return np.asarray(first)
     second = sum(a * b * _twice(kinds, at) for a, b, kinds in _pairs(substrate))
     return np.asarray(first + specular * second * response.mean())
+
+
+def lambert(x: Real) -> Real:
+    """x K1(x) to 1e-7, between nodes at equal steps of sqrt(x); 0 beyond 40."""
+    return np.interp(np.sqrt(x), *_lambert_table(), right=0.0)
+
+
+@lru_cache(maxsize=1)
+def _lambert_table() -> tuple[Real, Real]:
+    root = np.linspace(0.0, _LAMBERT_END**0.5, _LAMBERT_NODES)
+    return root, lambert_transform(root**2)
 
 
 def ways_of(bsdf: Bsdf) -> list[tuple[type[Bsdf], float, float]]:
@@ -91,7 +100,7 @@ def _twice(lambertian: tuple[bool, bool], x: Real) -> Real:
         stretches = [4]
     product = np.ones_like(x)
     for steps in stretches:
-        product = product * lambert_transform(steps * x)
+        product = product * lambert(steps * x)
     return product
 
 
@@ -99,9 +108,9 @@ def _transform(kind: type[Bsdf], sigma: float, x: Real, response: Real) -> Real:
     """Of one kind of surface without loss."""
     flat = bool(np.ptp(response) == 0.0)
     if kind is Lambertian:
-        last = response[0] * lambert_transform(x) if flat else _seen(x, response)
-        return np.asarray(lambert_transform(x) * last)
-    mirror = response[0] * lambert_transform(2.0 * x) if flat else _seen(2.0 * x, response)
+        last = response[0] * lambert(x) if flat else _seen(x, response)
+        return np.asarray(lambert(x) * last)
+    mirror = response[0] * lambert(2.0 * x) if flat else _seen(2.0 * x, response)
     if kind is Mirror:
         return np.asarray(mirror)
     table = lobe_table(sigma)
@@ -115,7 +124,7 @@ def _seen(x: Real, response: Real) -> Real:
     cosine = np.sqrt(1.0 - share)
     r = np.interp(cosine, np.linspace(0.0, 1.0, response.size), response)
     waves = bessel_j0(np.multiply.outer(x, np.sqrt(share) / cosine))
-    return np.asarray(waves @ (weight * (r - r.mean())) + r.mean() * lambert_transform(x))
+    return np.asarray(waves @ (weight * (r - r.mean())) + r.mean() * lambert(x))
 
 
 @lru_cache(maxsize=32)

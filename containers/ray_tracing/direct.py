@@ -126,8 +126,9 @@ def open_way(scene: Scene, box: Box) -> Way:
     # the chip's bottom stays as it is: what is lost there decides how long a ray stays inside
     chip = scene.chip if scene.chip.bottom != "contact" else replace(scene.chip, bottom="mirror", mirror=scene.substrate)
     black = replace(scene, chip=chip, substrate=white, receiver=replace(scene.receiver, bsdf=Lambertian(0.0)))
-    rest = replace(black, receiver=Receiver(followed))
-    return Way(scene_arrays(black), scene_arrays(rest), kept, box.numbers)
+    arrays = scene_arrays(black)
+    rest = arrays if followed == Lambertian(0.0) else scene_arrays(replace(black, receiver=Receiver(followed)))
+    return Way(arrays, rest, kept, box.numbers)
 
 
 def direct_light(

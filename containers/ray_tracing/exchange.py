@@ -15,9 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from containers.bsdf import Bsdf, Lambertian
-from containers.ray_tracing.closure import round_trip, ways_of
+from containers.ray_tracing.closure import lambert, round_trip, ways_of
 from containers.ray_tracing.direct import lambertian_part
-from containers.ray_tracing.field import lambert_transform
 from containers.scene import Array, Receiver
 from luxloop.errors import InputError
 
@@ -51,9 +50,9 @@ class Exchange:
         self._diffuse = sum(share for kind, _, share in ways if kind is Lambertian)
         direct = sum(share for kind, _, share in ways if kind is not Lambertian)
         x = self._k * distance_um
-        in_waves = round_trip(substrate, receiver, x) - direct * lambert_transform(2.0 * x)
+        in_waves = round_trip(substrate, receiver, x) - direct * lambert(2.0 * x)
         if self._diffuse:
-            in_waves -= self._diffuse * lambert_transform(x) ** 2
+            in_waves -= self._diffuse * lambert(x) ** 2
         self._straight = direct * self._by_lambert(2.0 * distance_um) + in_waves
         self._down = self._by_lambert(distance_um)
         self._more_recorded = round_trip(substrate, receiver, x, recorded=True) - round_trip(substrate, receiver, x)

@@ -98,7 +98,7 @@ def _bottom(scene: Scene) -> Bsdf:
 def _refuse_other_chip(stored: Scene, wanted: Scene) -> None:
     """InputError where the two chips differ in what the exits do not note."""
     mend = "make the exits of this chip"
-    (bare, kept), (other, now) = map(_without_what_is_noted, (stored, wanted))
+    (bare, kept), (other, now) = map(without_what_is_noted, (stored, wanted))
     if kept == 0.0 and now > 0.0:
         raise InputError("bottom reflectance", now, "0, as it was: no exit tells what it would send back", mend)
     if stored.chip.bottom == "air_gap" and kept != now:
@@ -107,7 +107,7 @@ def _refuse_other_chip(stored: Scene, wanted: Scene) -> None:
         raise InputError("chip", "another", "alike but for bottom reflectance, absorption and top", mend)
 
 
-def _without_what_is_noted(scene: Scene) -> tuple[Scene, float]:
+def without_what_is_noted(scene: Scene) -> tuple[Scene, float]:
     """The scene with a bare, clear chip on a bottom without loss, and the bottom's reflectance."""
     bottom, kept = without_loss(_bottom(scene))
     own = scene.chip.mirror is not None

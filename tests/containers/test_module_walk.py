@@ -339,7 +339,8 @@ def test_light_that_enters_a_side_crosses_the_chip(side: str, unfold: bool) -> N
     alpha, half, top = 0.02, 30.0, 20.0
     of = black(
         chip_changes={
-            "width_um": 60.0, "thickness_um": top, "absorption_per_um": alpha, "bottom": "mirror", "mirror": Mirror(0.9),
+            "width_um": 60.0, "thickness_um": top, "absorption_per_um": alpha,
+            "bottom": "mirror", "mirror": Mirror(0.9),
         },
         layout=ONE,
     )  # fmt: skip

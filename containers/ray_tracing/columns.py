@@ -1,0 +1,145 @@
+"""The parameters by which images are differentiated: each moves a scene, and knows its range and a useful step.
+
+Steps are 1 to 3 % of a parameter: with common random numbers and shared arrivals smaller ones bring nothing, larger
+ones begin to bend (benchmarks/twin.py has the differences of half and double steps).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from containers.bsdf import Bsdf, GaussianLobe, Lambertian, Mirror, Mixture, SpecularTable
+from containers.scene import Array, Face, Scene
+from luxloop.errors import InputError
+
+
+@dataclass(frozen=True)
+class Column:
+    """A parameter of a scene."""
+
+    name: str
+    value: Callable[[Scene], float]
+    move: Callable[[Scene, float], Scene]
+    """The scene with the parameter raised by an amount."""
+    step: Callable[[float], float]
+    """Of a difference, at a value."""
+    low: float = 0.0
+    high: float = np.inf
+
+    def stencil(self, scene: Scene) -> tuple[tuple[float, float], ...]:
+        """Amounts to move by and their weights: a derivative of second order within the range."""
+        value = self.value(scene)
+        h = self.step(value)
+        if value - h < self.low:
+            return (0.0, -1.5 / h), (h, 2.0 / h), (2.0 * h, -0.5 / h)
+        if value + h > self.high:
+            return (0.0, 1.5 / h), (-h, -2.0 / h), (-2.0 * h, 0.5 / h)
+        return (h, 0.5 / h), (-h, -0.5 / h)
+
+
+def _share_of(share: float, least: float = 0.0) -> Callable[[float], float]:
+    return lambda value: max(share * value, least)
+
+
+def _chip(scene: Scene, **changes: float) -> Scene:
+    return replace(scene, chip=replace(scene.chip, **changes))
+
+
+def _spaced(scene: Scene, amount: float) -> Scene:
+    """Chips and edges move outwards together."""
+    layout = scene.layout
+    ratio = (layout.spacing_um + amount) / layout.spacing_um
+    if not isinstance(layout, Array):
+        return replace(scene, layout=replace(layout, spacing_um=layout.spacing_um + amount))
+    halves = {name: ratio * getattr(layout, name) for name in ("half_x_um", "half_y_um")}
+    return replace(scene, layout=replace(layout, spacing_um=layout.spacing_um + amount, **halves))
+
+
+def _scaled(bsdf: Bsdf, ratio: float) -> Bsdf:
+    """The same scatter with the reflectance times a ratio."""
+    if isinstance(bsdf, Lambertian | GaussianLobe | Mirror):
+        return replace(bsdf, reflectance=bsdf.reflectance * ratio)
+    if isinstance(bsdf, Mixture):
+        return Mixture(tuple(_scaled(part, ratio) for part in bsdf.parts), bsdf.shares)
+    raise InputError("surface", type(bsdf).__name__, "Lambertian, GaussianLobe, Mirror or a Mixture of them")
+
+
+def _reflectance(bsdf: Bsdf) -> float:
+    return float(bsdf.albedo(np.array([0.5]))[0])
+
+
+def _substrate(scene: Scene, amount: float) -> Scene:
+    """The substrate and, where the chip stands on a mirror, that too: one coat."""
+    ratio = 1.0 + amount / _reflectance(scene.substrate)
+    scene = replace(scene, substrate=_scaled(scene.substrate, ratio))
+    if scene.chip.mirror is None:
+        return scene
+    return replace(scene, chip=replace(scene.chip, mirror=_scaled(scene.chip.mirror, ratio)))
+
+
+def _widened(bsdf: Bsdf, amount: float) -> Bsdf:
+    if isinstance(bsdf, GaussianLobe):
+        return replace(bsdf, sigma_rad=bsdf.sigma_rad + amount)
+    if isinstance(bsdf, Mixture):
+        return Mixture(tuple(_widened(part, amount) for part in bsdf.parts), bsdf.shares)
+    return bsdf
+
+
+def _sigma(bsdf: Bsdf) -> float:
+    parts = bsdf.parts if isinstance(bsdf, Mixture) else (bsdf,)
+    sigmas = [part.sigma_rad for part in parts if isinstance(part, GaussianLobe)]
+    if not sigmas:
+        raise InputError("substrate", type(bsdf).__name__, "a Gaussian lobe, or a Mixture with one")
+    return sigmas[0]
+
+
+def _receiver(scene: Scene, amount: float) -> Scene:
+    bsdf = scene.receiver.bsdf
+    return replace(scene, receiver=replace(scene.receiver, bsdf=_scaled(bsdf, 1.0 + amount / _reflectance(bsdf))))
+
+
+COLUMNS = {
+    column.name: column
+    for column in (
+        Column("distance_um", lambda s: s.distance_um, lambda s, a: replace(s, distance_um=s.distance_um + a), _share_of(0.01)),
+        Column("spacing_um", lambda s: s.layout.spacing_um, _spaced, _share_of(0.01)),
+        Column("width_um", lambda s: s.chip.width_um, lambda s, a: _chip(s, width_um=s.chip.width_um + a), _share_of(0.03)),
+        Column("thickness_um", lambda s: s.chip.thickness_um,
+               lambda s, a: _chip(s, thickness_um=s.chip.thickness_um + a), _share_of(0.03)),
+        Column("substrate_reflectance", lambda s: _reflectance(s.substrate), _substrate, _share_of(0.01), high=1.0),
+        Column("substrate_sigma_rad", lambda s: _sigma(s.substrate),
+               lambda s, a: replace(s, substrate=_widened(s.substrate, a)), _share_of(0.03)),
+        Column("receiver_reflectance", lambda s: _reflectance(s.receiver.bsdf), _receiver, _share_of(0.03), high=0.999),
+        Column("absorption_per_um", lambda s: s.chip.absorption_per_um,
+               lambda s, a: _chip(s, absorption_per_um=s.chip.absorption_per_um + a), _share_of(0.03, 1e-5)),
+    )
+}  # fmt: skip
+"""Those that every scene has, by name; per um, rad, or of a share of 1."""
+
+
+def film_column(tops: Callable[[Scene], Face], name: str = "film") -> Column:
+    """The top face moved towards another one: at 0 the scene's own, at 1 that of `tops` (of the same index).
+
+    A film's thickness, index or roughness changes its powers R and T in proportion as long as the change is small.
+    """
+    def move(scene: Scene, amount: float) -> Scene:
+        own, other = scene.chip.top, tops(scene)
+        inside, outside = (
+            tuple(_between(a, b, amount) for a, b in zip(getattr(own, side), getattr(other, side), strict=True))
+            for side in ("inside", "outside")
+        )
+        return replace(scene, chip=replace(scene.chip, top=Face(inside, outside)))
+
+    return Column(name, lambda _: 0.0, move, lambda _: 0.25, low=-1.0, high=1.0)
+
+
+def _between(own: Bsdf, other: Bsdf, amount: float) -> SpecularTable:
+    """Powers (1 - amount) own + amount other, at the nodes of a table among them."""
+    table = next((face for face in (own, other) if isinstance(face, SpecularTable)), None)
+    theta = table.theta_in_rad if table is not None else np.linspace(0.0, np.pi / 2, 2049)
+    (R, T), (R1, T1) = own.deltas(theta), other.deltas(theta)
+    R, T = (np.clip(a + amount * (b - a), 0.0, 1.0) for a, b in ((R, R1), (T, T1)))
+    return SpecularTable(theta, R, np.minimum(T, 1.0 - R), own.index_ratio)
