@@ -61,7 +61,7 @@ def landed(source: ExitSource, environment: Environment, design: Design, target:
 
 
 def four_ways(environment: Environment, design: Design, target: float, seed: int) -> dict[str, Spent]:
-    """The median of some repeats of each way, with other seeds."""
+    """The mean of some repeats of each way, with other seeds."""
     found: dict[str, list[Spent]] = {}
     for number in range(seed, seed + REPEATS):
         with tempfile.TemporaryDirectory() as name:
@@ -74,7 +74,13 @@ def four_ways(environment: Environment, design: Design, target: float, seed: int
             }
         for way, spent in once.items():
             found.setdefault(way, []).append(spent)
-    return {way: sorted(spent, key=lambda one: one.wall_s)[REPEATS // 2] for way, spent in found.items()}
+    return {way: mean_of(spent) for way, spent in found.items()}
+
+
+def mean_of(spent: list[Spent]) -> Spent:
+    """The mean of each number."""
+    wall_s, cpu_s, histories, error = np.mean([tuple(vars(one).values()) for one in spent], axis=0)
+    return Spent(float(wall_s), float(cpu_s), round(histories), float(error))
 
 
 def one_design(models: list[str], target: float, seed: int) -> None:
@@ -84,7 +90,7 @@ def one_design(models: list[str], target: float, seed: int) -> None:
         for way, spent in four_ways(cells.MODELS[model], cells.DESIGNS["S_b3"], target, seed).items():
             rows.append((model, way, *columns(spent)))
     heads = ("model", "way", "wall s", "CPU s", "histories", "error, points")
-    table(f"S_b3 to {target:g} points, median of {REPEATS}", rows, heads)
+    table(f"S_b3 to {target:g} points, mean of {REPEATS} seeds", rows, heads)
 
 
 def columns(spent: Spent) -> tuple[str, ...]:
@@ -109,13 +115,8 @@ def many(model: str, designs: list[Design], target: float, seed: int) -> list[tu
     least = min(map(len, found.values()))
     rows = [(model, way, *spread(spent[:least])) for way, spent in found.items()]
     print(f"  {model}: {left_out} of {len(designs)} designs left out")
-    print(f"  {model}: {projected({way: mean_s(spent[:least]) for way, spent in found.items()})}")
+    print(f"  {model}: {projected({way: mean_of(spent[:least]) for way, spent in found.items()})}")
     return rows
-
-
-def mean_s(spent: list[Spent]) -> tuple[float, float]:
-    """Mean wall and CPU seconds."""
-    return float(np.mean([one.wall_s for one in spent])), float(np.mean([one.cpu_s for one in spent]))
 
 
 def spread(spent: list[Spent]) -> tuple[str, ...]:
@@ -128,15 +129,14 @@ def spread(spent: list[Spent]) -> tuple[str, ...]:
     )  # fmt: skip
 
 
-def projected(mean: dict[str, tuple[float, float]]) -> str:
+def projected(mean: dict[str, Spent]) -> str:
     """Hours for the whole grid: the chips' exits once each, and a landing for each feasible design."""
     feasible = round(cells.feasible_share() * Bounds.preset("paper-grid").count)
     texts = []
-    for unit, which in (("h here", 0), ("CPU-h", 1)):
-        full = feasible * mean["full walk"][which] / 3600.0
-        making = CHIPS * (mean["exits made"][which] - mean["exits from memory"][which])
-        stored = (making + feasible * mean["exits from memory"][which]) / 3600.0
-        texts.append(f"{full:.1f} {unit} by full walks, {stored:.1f} {unit} by stored exits")
+    for unit, field in (("h here", "wall_s"), ("CPU-h", "cpu_s")):
+        full, made, held = (float(getattr(one, field)) / 3600.0 for one in mean.values())
+        stored = CHIPS * (made - held) + feasible * held
+        texts.append(f"{feasible * full:.1f} {unit} by full walks, {stored:.1f} {unit} by stored exits")
     return f"the grid's {feasible:,} feasible designs of {Bounds.preset('paper-grid').count:,}: {'; '.join(texts)}"
 
 

@@ -127,6 +127,11 @@ class Cell:
 
     spacing_um: float
 
+    @property
+    def symmetric(self) -> bool:
+        """It has the eight symmetries of the square."""
+        return True
+
 
 @dataclass(frozen=True)
 class Array:
@@ -164,6 +169,12 @@ class Array:
         return cls(
             rows, columns, spacing_um, half_x, half_y, np.ones((rows, columns)), np.zeros((rows, columns, 2)), wall
         )
+
+    @property
+    def symmetric(self) -> bool:
+        """Whether it has the eight symmetries of the square: equal chips at their places, as many each way."""
+        square = self.rows == self.columns and self.half_x_um == self.half_y_um
+        return square and not np.any(self.offset_um) and bool(np.ptp(self.power) == 0.0)
 
     @property
     def origin_um(self) -> tuple[float, float]:
@@ -207,8 +218,8 @@ class Scene:
 
     @property
     def symmetric(self) -> bool:
-        """Whether the map of the cell has the eight symmetries of the square."""
-        return isinstance(self.layout, Cell) and self.emission.symmetric
+        """Whether the map of the cell, or of the module, has the eight symmetries of the square."""
+        return self.layout.symmetric and self.emission.symmetric and not any(self.tilt_per_um)
 
     def _refuse_what_does_not_fit(self) -> None:
         within("distance_um", self.distance_um, 0.0, 1e6, "above the chips", above=True)

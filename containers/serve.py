@@ -31,13 +31,13 @@ def thin_film(router: Router = None, quiet: Quiet = False) -> None:
 def ray_tracing(router: Router = None, quiet: Quiet = False) -> None:
     """Be a ray-tracing worker: maps, uniformities, images of designs, until SIGTERM; on LUXLOOP_THREADS threads."""
     settings, cache = _prepared(router)
-    from containers.ray_tracing.simulation import FreshExits
+    from containers.ray_tracing.exit_source import ExitSource
     from containers.ray_tracing.worker import RayComputation, wanted_threads, warm_up
     from luxloop.bus.blobs import fetcher
     from luxloop.store import BlobStore
 
     threads = wanted_threads()
-    source = FreshExits(threads)
+    source = ExitSource(cache / "exits", threads=threads)
     warm_up(source, threads)
 
     def computation(bus: Bus) -> Computation:

@@ -9,8 +9,9 @@ bins around it in proportion to its distance, so that it moves from bin to bin w
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from math import floor, sqrt
 from typing import NamedTuple
 
@@ -26,13 +27,21 @@ from containers.ray_tracing.arrays import (
     DX,
     DY,
     DZ,
+    ENDS,
     EVENT,
+    HALF_X,
+    HALF_Y,
+    ORIGIN_X,
+    ORIGIN_Y,
     PERIODIC,
     RECEIVER,
     RECEIVER_END,
     RESPONSE,
     RESPONSE_AT,
     SPACING,
+    TILT_X,
+    TILT_Y,
+    WALLS,
     WEIGHT,
     EmissionArrays,
     SceneArrays,
@@ -53,7 +62,7 @@ from containers.ray_tracing.kernel import (
 )
 from containers.ray_tracing.module import INTO_CHIP, clear_way, walk_module
 from containers.ray_tracing.monte_carlo import BLOCK, usable_threads
-from containers.ray_tracing.packing import emission_arrays, scene_arrays
+from containers.ray_tracing.packing import scene_arrays
 from containers.ray_tracing.philox import CHIP, SUBSTRATE, Stream, draw, follow_up, start
 from containers.ray_tracing.philox import RECEIVER as RECEIVER_KIND
 from containers.ray_tracing.surfaces import REFLECTED, albedo, scatter
@@ -70,8 +79,8 @@ ARRIVES, SEEN_MORE = range(2)
 """Layers of the bins: light that arrives, and by how much more of it is recorded (`Receiver.response`)."""
 
 
-class Way(NamedTuple):
-    """A scene for direct light."""
+class WayArrays(NamedTuple):
+    """A scene for direct light, as kernels read it."""
 
     scene: SceneArrays
     """With a black receiver and a substrate that takes nothing."""
@@ -81,6 +90,27 @@ class Way(NamedTuple):
     """What the substrate keeps at each bounce."""
     box: Real
     """As `Sinks.box`."""
+
+
+@dataclass(frozen=True)
+class Way:
+    """A scene for direct light, and where its bins lie."""
+
+    arrays: WayArrays
+    box: Box
+
+    @property
+    def scene(self) -> SceneArrays:
+        """The arrays of the scene."""
+        return self.arrays.scene
+
+    def endless(self) -> Way:
+        """The same chips in a cell that repeats."""
+        numbers, flags = self.scene.numbers.copy(), self.scene.flags.copy()
+        numbers[[HALF_X, HALF_Y]], numbers[[ORIGIN_X, ORIGIN_Y, TILT_X, TILT_Y]] = np.inf, 0.0
+        flags[[PERIODIC, WALLS]] = 1, 0
+        scene = self.scene._replace(numbers=numbers, flags=flags)
+        return replace(self, arrays=self.arrays._replace(scene=scene))
 
 
 def without_loss(bsdf: Bsdf) -> tuple[Bsdf, float]:
@@ -128,48 +158,60 @@ def open_way(scene: Scene, box: Box) -> Way:
     black = replace(scene, chip=chip, substrate=white, receiver=replace(scene.receiver, bsdf=Lambertian(0.0)))
     arrays = scene_arrays(black)
     rest = arrays if followed == Lambertian(0.0) else scene_arrays(replace(black, receiver=Receiver(followed)))
-    return Way(arrays, rest, kept, box.numbers)
+    return Way(WayArrays(arrays, rest, kept, box.numbers), box)
 
 
 def direct_light(
-    scene: Scene,
-    box: Box,
+    way: Way,
+    emission: EmissionArrays,
     exits: Exits,
     seed: int,
     *,
     blocks: int | None = None,
-    one_chip: bool = False,
+    groups: int | None = None,
     threads: int | None = None,
 ) -> Tally:
-    """Where the exits of a scene's chips first reach the receiver, group by group; bins (group, layer, y, x).
+    """Where exits first reach the receiver, group by group; bins (group, layer, y, x).
 
     Parameters
     ----------
-    box : of the bins; what lies beside a box that is no cell is dropped.
-    exits : of the scene's chip. blocks : how many blocks of them, all by default.
-    seed : of what happens on the way. one_chip : only that at (0, 0) of a finite module shines.
+    way : `open_way` of a scene whose chips the exits are of; what lies beside its box, if that is no cell, is dropped.
+    emission : which chips shine. blocks : how many blocks of the exits, all by default.
+    seed : of what happens on the way. groups : so many at the end, a divisor of the exits' own; all by default.
 
     Notes
     -----
     A bin holds the light around its centre, with weights that fall linearly to 0 one bin's width away.
     """
-    groups, blocks = exits.ends.shape[0], blocks or exits.ledger.shape[1]
-    way, emission = open_way(scene, box), emission_arrays(scene)
-    if one_chip:
-        emission = emission._replace(chip_cumulative=np.ones(1), centres_um=np.zeros((1, 2)))
-    layers = 2 if np.ptp(scene.receiver.response) > 0.0 or scene.receiver.response[0] != 1.0 else 1
-    bins = np.zeros((groups, layers, box.rows, box.columns))
+    own, blocks = exits.ends.shape[0], blocks or exits.ledger.shape[1]
+    groups = groups or own
+    box, tables = way.box, way.scene.surfaces.tables
+    response = tables[way.scene.flags[RESPONSE_AT] :][: way.scene.flags[RESPONSE]]
+    bins = np.zeros((groups, 1 if np.all(response == 1.0) else 2, box.rows, box.columns))
 
-    def land(group: int) -> None:
-        own = slice(exits.ends[group, 0], exits.ends[group, blocks])
-        weights = np.zeros(0, np.float32) if exits.weights is None else exits.weights[own]
-        numbers = np.uint64(seed ^ LANDING), group, groups, exits.first_block * BLOCK
-        land_direct(way, emission, *numbers, exits.rays[own], weights, nowhere(), scratch(), bins[group])
+    def land(together: int) -> None:
+        numbers, work, lost = np.uint64(seed ^ LANDING), scratch(), nowhere()
+        for group in range(together * own // groups, (together + 1) * own // groups):
+            mine = slice(exits.ends[group, 0], exits.ends[group, blocks])
+            weights = np.zeros(0, np.float32) if exits.weights is None else exits.weights[mine]
+            first = exits.first_block * BLOCK
+            land_direct(way.arrays, emission, numbers, group, own, first, exits.rays[mine], weights, lost, work, bins[together])
 
-    with ThreadPoolExecutor(threads or usable_threads()) as pool:
-        list(pool.map(land, range(groups)))
+    in_parallel(land, range(groups), threads)
+    ledger = exits.ledger[:, :blocks].sum(axis=1).reshape(groups, -1, len(ENDS)).sum(axis=1)
     nothing = np.zeros((groups, len(OPTICAL_EVENTS))), np.zeros((groups, 2, 0, 0))
-    return Tally(box, bins, exits.ledger[:, :blocks].sum(axis=1), *nothing, histories=BLOCK * blocks)
+    return Tally(box, bins, ledger, *nothing, histories=BLOCK * blocks * own // groups)
+
+
+def in_parallel(work: Callable[[int], None], numbers: range, threads: int | None) -> None:
+    """Call `work` with each number, on several threads at once; all that may be used by default."""
+    threads = threads or usable_threads()
+    if threads == 1:
+        for number in numbers:
+            work(number)
+        return
+    with ThreadPoolExecutor(threads) as pool:
+        list(pool.map(work, numbers))
 
 
 def nowhere() -> Sinks:
@@ -180,7 +222,7 @@ def nowhere() -> Sinks:
 
 @borrowing_kernel
 def land_direct(
-    way: Way,
+    way: WayArrays,
     emission: EmissionArrays,
     seed: np.uint64,
     group: int,
@@ -238,7 +280,7 @@ def reaches_receiver(
 
 
 @inlined_kernel
-def _arrive(way: Way, ray: Real, stream: Stream, bins: Real) -> None:
+def _arrive(way: WayArrays, ray: Real, stream: Stream, bins: Real) -> None:
     """Put a ray that is at the receiver into the bins."""
     scene, x, y = way.scene, ray[X], ray[Y]
     if scene.flags[PERIODIC]:
@@ -255,7 +297,7 @@ def _arrive(way: Way, ray: Real, stream: Stream, bins: Real) -> None:
 
 
 @inlined_kernel
-def _sent_on(way: Way, wave: int, ray: Real, stream: Stream, faintest: float) -> bool:
+def _sent_on(way: WayArrays, wave: int, ray: Real, stream: Stream, faintest: float) -> bool:
     """Send a ray back by that part of the receiver which is followed; False where nothing is."""
     surfaces = way.receiver.surfaces
     kept = albedo(surfaces, RECEIVER, wave, ray[DZ])

@@ -23,7 +23,7 @@ from luxloop.errors import InputError
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-STEPS_PER_DISTANCE = 5.0
+STEPS_PER_DISTANCE = 3.0
 TOLERANCE = 1e-6
 MOST_ITERATIONS = 200
 

@@ -16,8 +16,8 @@ from containers.ray_tracing.monte_carlo import BLOCK
 from containers.scene import Scene
 from luxloop.words import sha256_of
 
-BATCH = 16
-"""Blocks of a batch: 524,288 histories in 32 groups, about 12 MB where six of ten leave their chip."""
+BATCH = 4
+"""Blocks of a batch: 131,072 histories in 32 groups, about 3 MB where six of ten leave their chip."""
 MEMORY_BYTES = 256 << 20
 FOLDER_BYTES = 4 << 30
 _ARRAYS = ("rays", "notes", "ends", "ledger")

@@ -35,10 +35,9 @@ CAUTION = 0.3
 def light_of(tally: Tally, scene: Scene) -> Field:
     """The field of a tally: of a cell in relative illuminance, of a module in 1/mm^2 per flux of a nominal chip."""
     if isinstance(scene.layout, Array):
-        box = tally.box
-        ends = (box.x0_um, box.x0_um + box.columns * box.step_um, box.y0_um, box.y0_um + box.rows * box.step_um)
         histories = tally.total_histories / tally.groups / float(scene.layout.power.sum())
-        return ModuleField.from_bins(tally.cell_bins(), histories, ends, scene.height_um)
+        field = ModuleField.from_bins(tally.cell_bins(), histories, tally.box.ends_um, scene.height_um)
+        return replace(field, coefficients=_weighed(field, _share_of_first(field)))
     spacing, height = scene.layout.spacing_um, scene.height_um
     modes = max(FEWEST_MODES, round(MORE_MODES * mode_count(height, spacing)))
     first, later = (

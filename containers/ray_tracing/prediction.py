@@ -9,6 +9,7 @@ before gain and what the sensor does (`camera.response`): up to there a camera i
 
 from __future__ import annotations
 
+from collections import OrderedDict, defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 
 from containers.ray_tracing.camera import irradiance_image, margin_px, pixels, receiver_points
 from containers.ray_tracing.columns import Column
+from containers.ray_tracing.direct import in_parallel
 from containers.ray_tracing.exits import Exits, chip_key
 from containers.ray_tracing.field import Field
 from containers.ray_tracing.light_map import LightMap
@@ -27,6 +29,9 @@ from luxloop.camera import Camera
 from luxloop.errors import InputError
 
 Real = NDArray[np.float64]
+EFFECTIVE, INEXACT = 0.9, 0.05
+"""Share of exits that must stay effective, and of light whose weight may be inexact, where exits are reweighted."""
+RECENT = 32
 Grid = Callable[[Real, Real], Real]
 """From x (x,) and y (y,) to values (..., y, x) in 1/mm^2."""
 
@@ -49,15 +54,27 @@ class Supply:
 
     def __init__(self, make: Callable[[Scene], Exits]) -> None:
         self._make = make
-        self._held: dict[str, tuple[Scene, Exits]] = {}
+        self._held: dict[str, list[tuple[Scene, Exits]]] = defaultdict(list)
+        self._recent: OrderedDict[tuple[int, ...], tuple[Scene, Exits]] = OrderedDict()
 
     def of(self, scene: Scene) -> Exits:
-        """Exits of the scene's chip: reweighted where a chip like it was walked in before."""
-        key = chip_key(without_what_is_noted(scene)[0])
-        if key not in self._held:
-            self._held[key] = scene, self._make(scene)
-        stored, exits = self._held[key]
-        return exits if stored is scene else reweighted(exits, stored, scene).exits
+        """Exits of the scene's chip, reweighted where a chip much like it was walked in before."""
+        known = id(scene.chip), id(scene.substrate), id(scene.emission)
+        if known not in self._recent:
+            self._recent[known] = scene, self._find(scene)  # the scene is kept, so that no other gets its ids
+            if len(self._recent) > RECENT:
+                self._recent.popitem(last=False)
+        return self._recent[known][1]
+
+    def _find(self, scene: Scene) -> Exits:
+        alike = self._held[chip_key(without_what_is_noted(scene)[0])]
+        for stored, exits in alike:
+            found = reweighted(exits, stored, scene)
+            if found.effective_share > EFFECTIVE and found.inexact_share < INEXACT:
+                return found.exits
+        made = self._make(scene)
+        alike.append((scene, made))
+        return made
 
 
 @dataclass(frozen=True)
@@ -102,13 +119,19 @@ class Anchor:
         return Prediction(twin_images(shots, self._supply, **self._options) + self._correction, self._noise)
 
 
-def twin_images(shots: Sequence[Shot], supply: Supply, **options: int) -> Real:
-    """The twin's images (shot, row, column); `options` are those of `ModuleTwin` (blocks, shadow_rays, threads)."""
+def twin_images(shots: Sequence[Shot], supply: Supply, *, threads: int | None = None, **options: int) -> Real:
+    """The twin's images (shot, row, column), several at once; `options` are `ModuleTwin`'s blocks and shadow_rays."""
     if len({(shot.camera.rows, shot.camera.columns) for shot in shots}) != 1:
         raise InputError("shots", "images of several sizes", "one size", "predict them in groups")
-    return np.stack(
-        [image_of(ModuleTwin(shot.scene, supply.of(shot.scene), **options).mean, shot) for shot in shots]
-    )
+    exits = [supply.of(shot.scene) for shot in shots]
+    images = np.zeros((len(shots), shots[0].camera.rows, shots[0].camera.columns))
+
+    def see(number: int) -> None:
+        shot = shots[number]
+        images[number] = image_of(ModuleTwin(shot.scene, exits[number], threads=1, **options).mean, shot)
+
+    in_parallel(see, range(len(shots)), threads)
+    return images
 
 
 def jacobian(shots: Sequence[Shot], columns: Sequence[Column], supply: Supply, **options: int) -> Real:

@@ -87,8 +87,8 @@ def _maps(field: Field, box: Box, cameras: Sequence[Camera]) -> Iterator[LightMa
         x0, y0, columns, rows, beyond = -reach, -reach, round(2 * reach / step), round(2 * reach / step), "mirror"
     else:
         step = box.step_um / np.ceil(box.step_um / finest_um)
-        columns, rows = (round(count * box.step_um / step) for count in (box.columns, box.rows))
-        x0, y0, beyond = box.x0_um, box.y0_um, "dark"
+        x0, x1, y0, y1 = box.ends_um
+        columns, rows, beyond = round((x1 - x0) / step), round((y1 - y0) / step), "dark"
     if max(columns, rows) > MOST_SAMPLES:
         allowed = f"a view that a map of {MOST_SAMPLES} samples, {step:.3g} um apart, can hold"
         raise InputError("images", f"{columns} x {rows} samples", allowed, "fewer or smaller pixels")

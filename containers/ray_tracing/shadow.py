@@ -9,7 +9,6 @@ nothing, so half of them are aimed at the surroundings of the chip, with less we
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from math import pi, sqrt
 
@@ -35,16 +34,13 @@ from containers.ray_tracing.arrays import (
     Y,
     Z,
 )
-from containers.ray_tracing.direct import Way, nowhere, open_way, reaches_receiver
+from containers.ray_tracing.direct import Way, WayArrays, in_parallel, nowhere, reaches_receiver
 from containers.ray_tracing.field import Axis
 from containers.ray_tracing.kernel import Scratch, scratch
-from containers.ray_tracing.monte_carlo import usable_threads
-from containers.ray_tracing.packing import emission_arrays
 from containers.ray_tracing.philox import CHIP, EMISSION, draw, start
 from containers.ray_tracing.philox import SUBSTRATE as SUBSTRATE_KIND
 from containers.ray_tracing.surfaces import REFLECTED, scatter
-from containers.ray_tracing.tally import Box
-from containers.scene import Cell, Scene
+from containers.scene import Scene
 
 Real = NDArray[np.float64]
 
@@ -60,12 +56,14 @@ _STEPS = 0.7548776662466927, 0.5698402909980532
 """Of the places, in periods: the additive recurrence of Roberts' R2 sequence."""
 
 
-def correction(scene: Scene, x: Axis, y: Axis, *, rays: int = RAYS, seed: int = 1, threads: int | None = None) -> Real:
+def correction(
+    way: Way, emission: EmissionArrays, x: Axis, y: Axis, *, rays: int = RAYS, seed: int = 1, threads: int | None = None
+) -> Real:
     """dT (function, function) between the functions (y, x) of a cell, y first, that the two axes have.
 
     Parameters
     ----------
-    scene : its layout gives the pitch of the chips; a finite module is treated as part of an endless one.
+    way : of the scene; the chips of a finite module are taken as part of an endless one. emission : of wavelengths.
     x, y : axes of the cell with few modes (`low_axis`). rays : how many. seed : of their frozen numbers.
 
     Notes
@@ -73,12 +71,13 @@ def correction(scene: Scene, x: Axis, y: Axis, *, rays: int = RAYS, seed: int = 
     Where both axes are `even`, what chips send from even to odd waves is 0 by symmetry and not asked for, and dT is
     averaged over the exchange of x and y.
     """
-    endless = replace(scene, layout=Cell(scene.layout.spacing_um), tilt_per_um=(0.0, 0.0))
-    way, emission = open_way(endless, Box(0.0, 0.0, 1.0, 1, 1, folded=False, cell=False)), emission_arrays(endless)
-    found = np.zeros((rays, 8))
-    parts = [slice(rays * i // _PARTS, rays * (i + 1) // _PARTS) for i in range(_PARTS)]
-    with ThreadPoolExecutor(threads or usable_threads()) as pool:
-        list(pool.map(lambda p: there_and_back(way, emission, np.uint64(seed), p.start, found[p], nowhere(), scratch()), parts))
+    arrays, found = way.endless().arrays, np.zeros((rays, 8))
+
+    def part(number: int) -> None:
+        own = slice(rays * number // _PARTS, rays * (number + 1) // _PARTS)
+        there_and_back(arrays, emission, np.uint64(seed), own.start, found[own], nowhere(), scratch())
+
+    in_parallel(part, range(_PARTS), threads)
     found = found[np.abs(found[:, 2:5] - found[:, 5:]).max(axis=1) > TOUCHED]
     start_at, without, with_chips = (_functions(x, y, found[:, i : i + 2]) for i in (0, 2, 5))
     moved = found[:, 7:] * with_chips - found[:, 4:5] * without
@@ -108,7 +107,7 @@ def _functions(x: Axis, y: Axis, places: Real) -> Real:
 
 @borrowing_kernel
 def there_and_back(
-    way: Way, emission: EmissionArrays, seed: np.uint64, first: int, found: Real, sinks: Sinks, scratch: Scratch
+    way: WayArrays, emission: EmissionArrays, seed: np.uint64, first: int, found: Real, sinks: Sinks, scratch: Scratch
 ) -> None:
     """Rays number `first` and on: start (x, y), end (x, y, weight) without chips, end with chips, into `found` (n, 8).
 

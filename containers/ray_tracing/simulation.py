@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
-from functools import lru_cache
 from math import inf
-from typing import Protocol
 
 import numpy as np
 
 from containers.bsdf import Mirror
 from containers.ray_tracing.arrays import DX, DZ, X, Z
 from containers.ray_tracing.build import array_of, cell_of, scene_of
-from containers.ray_tracing.exits import Exits, Landing, make_exits
+from containers.ray_tracing.exit_source import ExitSource
+from containers.ray_tracing.exits import Landing
 from containers.ray_tracing.kernel import WAVE_OF_EXIT, WEIGHT_OF_EXIT
 from containers.ray_tracing.monte_carlo import BLOCK, MonteCarlo, blocks_of
 from containers.ray_tracing.outcome import Arrays, Document, far_fields, outcome, solved
@@ -29,35 +27,8 @@ from luxloop.errors import InputError
 from luxloop.film import Spectrum
 from luxloop.ray import RayRequest
 
-BATCH_BLOCKS = 4
-"""Of exits that are made for the occasion."""
 DIRECTION_BINS = (128, 64)
 """Of the far field: cosine of theta over the whole sphere, azimuth."""
-
-
-class ExitSource(Protocol):
-    """Who has stored exits, or makes them."""
-
-    def batches(self, scene: Scene, seed: int) -> Callable[[int], Exits]:
-        """From the number of a block to a set of exits that holds it; a function of chip, seed and block alone."""
-        ...
-
-
-class FreshExits:
-    """An `ExitSource` that keeps nothing but the last batch."""
-
-    def __init__(self, threads: int | None = None) -> None:
-        self._threads = threads
-
-    def batches(self, scene: Scene, seed: int) -> Callable[[int], Exits]:
-        """Each made when it is asked for."""
-
-        @lru_cache(maxsize=1)
-        def batch(number: int) -> Exits:
-            first = number * BATCH_BLOCKS
-            return make_exits(scene, seed, BATCH_BLOCKS * BLOCK, first_block=first, threads=self._threads)
-
-        return lambda block: batch(block // BATCH_BLOCKS)
 
 
 def simulate(

@@ -39,20 +39,33 @@ class Box:
 
     @classmethod
     def of(cls, scene: Scene) -> Box:
-        """Fine enough that the bins' window takes 2 % off the highest mode that is kept."""
+        """Fine enough that the bins' window takes 2 % off the highest mode that is kept.
+
+        A module with open edges has a pad around it, where light is recorded that has crossed the edge; one with
+        walls ends at them, a whole number of bins from its centre.
+        """
         layout, height = scene.layout, scene.height_um
         if isinstance(layout, Array):
-            pad = 2.0 * scene.distance_um
-            longest = 2.0 * (max(layout.half_x_um, layout.half_y_um) + pad)
-            step = max(min(height / 8.0, layout.spacing_um / 32.0), longest / MOST_BINS)
-            columns, rows = (2 * int(np.ceil((half + pad) / step)) for half in (layout.half_x_um, layout.half_y_um))
-            return cls(-columns * step / 2.0, -rows * step / 2.0, step, rows, columns, folded=False, cell=False)
+            pad = 0.0 if layout.wall is not None else 2.0 * scene.distance_um
+            half_x, half_y = layout.half_x_um + pad, layout.half_y_um + pad
+            step = max(min(height / 8.0, layout.spacing_um / 32.0), 2.0 * max(half_x, half_y) / MOST_BINS)
+            step = half_x / _whole(half_x / step, half_y / step)
+            columns, rows = round(half_x / step), round(half_y / step)
+            if scene.symmetric:
+                return cls(0.0, 0.0, step, rows, columns, folded=True, cell=pad == 0.0)
+            return cls(-half_x, -rows * step, step, 2 * rows, 2 * columns, folded=False, cell=pad == 0.0)
         modes = mode_count(height, layout.spacing_um)
         bins = 128 if modes <= 8 else 256 if modes <= 24 else 512
         step = layout.spacing_um / bins
         if scene.symmetric:
             return cls(0.0, 0.0, step, bins // 2, bins // 2, folded=True, cell=True)
         return cls(-layout.spacing_um / 2.0, -layout.spacing_um / 2.0, step, bins, bins, folded=False, cell=True)
+
+    @property
+    def ends_um(self) -> tuple[float, float, float, float]:
+        """x0, x1, y0, y1 of the bins once they are unfolded."""
+        x1, y1 = self.x0_um + self.columns * self.step_um, self.y0_um + self.rows * self.step_um
+        return (-x1, x1, -y1, y1) if self.folded else (self.x0_um, x1, self.y0_um, y1)
 
     @property
     def numbers(self) -> Real:
@@ -131,3 +144,15 @@ class Tally:
         return np.concatenate([half[:, :, ::-1], half], axis=2)
 
 
+
+
+def _whole(columns: float, rows: float) -> int:
+    """The least whole number from `columns` on for which `rows` grows, in proportion, to a whole number too.
+
+    Where there is none up to twice as many, the last row of bins reaches beyond the module.
+    """
+    least = max(2, int(np.ceil(columns - 1e-9)))
+    for count in range(least, 2 * least):
+        if abs(count * rows / columns - round(count * rows / columns)) < 1e-6:
+            return count
+    return least

@@ -15,9 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from containers.ray_tracing.closure import round_trip
-from containers.ray_tracing.direct import ARRIVES, direct_light, lambertian_part
+from containers.ray_tracing.direct import ARRIVES, direct_light, lambertian_part, open_way
 from containers.ray_tracing.exits import Exits
 from containers.ray_tracing.field import Axis, CellField
+from containers.ray_tracing.packing import emission_arrays
 from containers.ray_tracing.shadow import correction, low_axis, periods_seen
 from containers.ray_tracing.tally import Box
 from containers.scene import Cell, Receiver, Scene
@@ -51,11 +52,14 @@ def cell_field(
     if not isinstance(scene.layout, Cell):
         raise InputError("layout", type(scene.layout).__name__, "a cell that repeats", "use module_twin")
     spacing, receiver = scene.layout.spacing_um, scene.receiver
-    tally = direct_light(scene, Box.of(scene), exits, SEED, blocks=blocks, threads=threads)
+    way, emission = open_way(scene, Box.of(scene)), emission_arrays(scene)
+    tally = direct_light(way, emission, exits, SEED, blocks=blocks, threads=threads)
+
     def field_of(layer: int) -> CellField:
         return CellField.from_bins(
             tally.cell_bins(layer), tally.histories, spacing, scene.height_um, folded=tally.box.folded
         )
+
     arrives = field_of(ARRIVES)
     window = cloud_window(arrives.x, tally.box.step_um), cloud_window(arrives.y, tally.box.step_um)
     cloud = 1.0 / np.multiply.outer(window[1], window[0])
@@ -63,7 +67,7 @@ def cell_field(
     kept, _ = lambertian_part(receiver.bsdf)
     T = round_trip(scene.substrate, receiver, k * scene.distance_um)
     low = low_axis(arrives.x, periods_seen(scene)), low_axis(arrives.y, periods_seen(scene))
-    dT = correction(scene, *low, seed=SEED, threads=threads) if shadow else None
+    dT = correction(way, emission, *low, seed=SEED, threads=threads) if shadow else None
     direct = arrives.coefficients * cloud
     total = _all_light(direct, kept, T, dT, arrives)
     if tally.bins.shape[1] > 1:

@@ -25,17 +25,15 @@ ONE = Array.regular(1, 1, 600.0)
 
 def places(tally: Tally) -> tuple[Real, Real]:
     """Centres of the columns and of the rows of bins, um."""
-    box = tally.box
-    return (
-        box.x0_um + (np.arange(box.columns) + 0.5) * box.step_um,
-        box.y0_um + (np.arange(box.rows) + 0.5) * box.step_um,
-    )
+    x0, x1, y0, y1 = tally.box.ends_um
+    half = tally.box.step_um / 2.0
+    return np.arange(x0 + half, x1, 2.0 * half), np.arange(y0 + half, y1, 2.0 * half)
 
 
 def within(tally: Tally, x: float, y: float) -> float:
     """Share of the emitted light that arrived in |x| < `x`, |y| < `y`."""
     columns, rows = (np.abs(at) < end for at, end in zip(places(tally), (x, y), strict=True))
-    return float(tally.bins.sum(axis=(0, 1))[np.ix_(rows, columns)].sum() / tally.total_histories)
+    return float(tally.cell_bins().sum(axis=0)[np.ix_(rows, columns)].sum() / tally.total_histories)
 
 
 def lambertian_share(x: Real, y: Real, h: Real) -> Real:
@@ -50,7 +48,7 @@ def test_inverse_square_and_cos4_below_the_receiver(distance: float) -> None:
     tally = MonteCarlo(of, 3).run_to(32_768)
     columns, rows = places(tally)
     expected = lambertian_share(columns[None, :], rows[:, None], distance - 5.0) * tally.box.step_um**2
-    found, error = mean_and_error(tally.bins.sum(axis=1) / tally.histories)
+    found, error = mean_and_error(tally.cell_bins() / tally.histories)
     inside = np.hypot(columns[None, :], rows[:, None]) < 250.0
     seen = inside & (expected * tally.total_histories > 50.0)
     deviation = (found - expected)[seen] / np.maximum(error[seen], np.sqrt(expected[seen] / tally.total_histories))
@@ -66,7 +64,7 @@ def test_the_share_on_the_receiver_is_the_view_factor() -> None:
     of = black(chip_changes=SMALL, layout=Array.regular(1, 1, 2000.0), distance_um=105.0)
     tally = launched(of, np.array([[0.0, 0.0, 5.0]]), lambert_up(200_000))
     columns, rows = places(tally)
-    bins = tally.bins.sum(axis=(0, 1)) / tally.histories
+    bins = tally.cell_bins().sum(axis=0) / tally.histories
     for r in (60.0, 100.0, 300.0):
         disc = np.hypot(columns[None, :], rows[:, None]) < r
         cells = disc.sum() * tally.box.step_um**2
@@ -99,7 +97,7 @@ def test_nothing_is_recorded_twice_below_a_tilted_receiver() -> None:
     arrived = tally.arrivals.sum() / tally.total_histories
     columns, _ = places(tally)
     sure = np.abs(columns) < 200.0 - tally.box.step_um
-    inside = tally.bins.sum(axis=(0, 1))[np.ix_(np.abs(places(tally)[1]) < 200.0, sure)].sum() / tally.total_histories
+    inside = tally.cell_bins().sum(axis=0)[np.ix_(np.abs(places(tally)[1]) < 200.0, sure)].sum() / tally.total_histories
     assert inside <= arrived + 1e-12
 
 
@@ -114,7 +112,7 @@ def test_a_tilted_receiver_is_lit_by_lamberts_law() -> None:
     h = distance + slope_x * x + slope_y * y - 5.0
     facing = h - slope_x * x - slope_y * y
     expected = facing * h / (np.pi * (x**2 + y**2 + h**2) ** 2) * tally.box.step_um**2
-    found, _ = mean_and_error(tally.bins.sum(axis=1) / tally.histories)
+    found, _ = mean_and_error(tally.cell_bins() / tally.histories)
     for sign in (1.0, -1.0):
         for axis in (x, y):
             part = (sign * axis > 0.0) & (np.abs(x) < 200.0) & (np.abs(y) < 200.0)
@@ -189,7 +187,7 @@ def test_the_middle_of_a_large_array_is_the_periodic_cell() -> None:
     a = MonteCarlo(finite, 3).run_to(8192)
     b = MonteCarlo(scene(chip, layout=Cell(300.0), distance_um=100.0), 4).run_to(8192)
     columns, rows = places(a)
-    per_group = a.bins.sum(axis=1)[:, np.abs(rows) < 150.0][:, :, np.abs(columns) < 150.0].sum(axis=(1, 2))
+    per_group = a.cell_bins()[:, np.abs(rows) < 150.0][:, :, np.abs(columns) < 150.0].sum(axis=(1, 2))
     area = (np.abs(rows) < 150.0).sum() * (np.abs(columns) < 150.0).sum() * a.box.step_um**2
     m, e = mean_and_error(per_group / a.histories * 81.0 * 300.0**2 / area)
     n, f = mean_and_error(b.cell_bins().sum(axis=(1, 2)) / b.histories)
@@ -202,7 +200,7 @@ def test_powers_weigh_the_chips_and_dead_ones_give_nothing() -> None:
     of = black(chip_changes=SMALL, layout=layout, distance_um=15.0, emission=Emission(from_top=True))
     tally = MonteCarlo(of, 1).run_to(2048)
     columns, _ = places(tally)
-    by_column = tally.bins.sum(axis=(0, 1, 2)) / tally.total_histories
+    by_column = tally.cell_bins().sum(axis=(0, 1)) / tally.total_histories
     for centre, share in ((-400.0, 0.0), (0.0, 0.75), (400.0, 0.25)):
         found = by_column[np.abs(columns - centre) < 150.0].sum()
         assert found == pytest.approx(share, abs=0.012)
@@ -217,7 +215,7 @@ def test_a_displaced_chip_shines_where_it_is() -> None:
     of = black(chip_changes=SMALL, layout=layout, distance_um=30.0, emission=Emission(from_top=True))
     tally = MonteCarlo(of, 1).run_to(1024)
     columns, rows = places(tally)
-    bins = tally.bins.sum(axis=(0, 1))
+    bins = tally.cell_bins().sum(axis=0)
     near = (np.abs(columns[None, :] - 40.0) < 60.0) & (np.abs(rows[:, None] + 270.0) < 60.0)
     weight = bins * near
     assert (weight * columns[None, :]).sum() / weight.sum() == pytest.approx(40.0, abs=1.0)

@@ -13,7 +13,8 @@ import pytest
 
 from containers.ray_tracing import worker as worker_module
 from containers.ray_tracing.monte_carlo import BLOCK, usable_threads
-from containers.ray_tracing.simulation import FreshExits, simulate
+from containers.ray_tracing.exit_source import ExitSource
+from containers.ray_tracing.simulation import simulate
 from containers.ray_tracing.worker import RayComputation, wanted_threads
 from containers.stack import dbr_of
 from containers.thin_film.packing import pack, unpack
@@ -71,7 +72,7 @@ def test_a_film_is_fetched_once(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(worker_module, "HELD_FILMS", 2)
     raws = {pairs: packed(pairs) for pairs in (0.5, 1.0, 1.5)}
     shelf = Shelf(*raws.values())
-    computation = RayComputation(shelf.fetch, FreshExits())
+    computation = RayComputation(shelf.fetch, ExitSource())
     for pairs, fetched in ((0.5, 1), (1.0, 2), (0.5, 2), (1.5, 3), (0.5, 3), (1.0, 4)):
         ask(computation, request(raws[pairs], design=DESIGN | {"dbr_pairs": pairs}))
         assert shelf.asked == fetched
@@ -80,7 +81,7 @@ def test_a_film_is_fetched_once(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_film_nobody_holds_says_what_to_do() -> None:
     """Typed not_found with the hash and the mend; the next request is computed."""
     raw = packed(0.5)
-    computation = RayComputation(Shelf().fetch, FreshExits())
+    computation = RayComputation(Shelf().fetch, ExitSource())
     with pytest.raises(RemoteError) as caught:
         ask(computation, request(raw))
     failure = caught.value.failure
@@ -94,7 +95,7 @@ def test_bytes_that_are_no_table_are_refused() -> None:
     """A blob of that hash which is something else is bad input, not a crash."""
     raw = b"not a table at all"
     with pytest.raises(InputError) as caught:
-        ask(RayComputation(Shelf(raw).fetch, FreshExits()), request(raw))
+        ask(RayComputation(Shelf(raw).fetch, ExitSource()), request(raw))
     assert caught.value.field == "table"
 
 
@@ -103,7 +104,7 @@ def test_an_effect_not_known_here_is_said() -> None:
     effect = AppliedEffect(name="receiver_tilt", parameters={"tilt_deg": 2.0})
     asked = request(None).model_copy(update={"effects": (effect,)})
     with pytest.raises(RemoteError) as caught:
-        ask(RayComputation(Shelf().fetch, FreshExits()), asked)
+        ask(RayComputation(Shelf().fetch, ExitSource()), asked)
     assert caught.value.failure.code == "unknown_effect"
     assert "the ray-tracing worker knows no effect receiver_tilt" in caught.value.failure.message
 
@@ -116,7 +117,7 @@ def test_bad_requests_name_the_field(change: dict[str, Any], field: str) -> None
     """Whatever is wrong with a request is refused with its field, before anything is computed."""
     inputs = json.loads(request(None).model_dump_json()) | change
     with pytest.raises(InputError) as caught:
-        RayComputation(Shelf().fetch, FreshExits()).compute(inputs, Progress())
+        RayComputation(Shelf().fetch, ExitSource()).compute(inputs, Progress())
     assert caught.value.field == f"ray request: {field}"
 
 
@@ -152,7 +153,7 @@ def test_film_and_rays_over_zenoh(both: Client) -> None:
     asked = request(None, design=DESIGN | {"dbr_pairs": 6.5}, film={"sha256": sha256, "bytes": size})
     answer = both.run(asked)
     table = FilmTable.from_parts(*unpack(both.fetch(sha256, size)))
-    result, arrays = simulate(asked, table, FreshExits(1), Progress(), 1)
+    result, arrays = simulate(asked, table, ExitSource(threads=1), Progress(), 1)
     assert json.loads(json.dumps(answer.result)) == json.loads(json.dumps(result))
     assert answer.arrays.keys() == arrays.keys()
     for name, array in arrays.items():

@@ -15,7 +15,7 @@ import pytest
 from containers import simulate_command
 from containers.asking import watched
 from containers.ray_tracing.exports import read_ies, read_tm25
-from containers.ray_tracing.simulation import FreshExits
+from containers.ray_tracing.exit_source import ExitSource
 from containers.ray_tracing.worker import RayComputation
 from containers.simulate_command import PRESETS, array_of, design_of, named_by_option
 from containers.simulate_text import as_text
@@ -43,7 +43,7 @@ class Set:
 
     def __init__(self, films: FilmComputation) -> None:
         self._films = films
-        self._rays = RayComputation(self._fetch, FreshExits())
+        self._rays = RayComputation(self._fetch, ExitSource())
         self.gone, self.fresh, self.asked = False, 0, list[Any]()
 
     def run(self, request: Any, *, limit_s: float = 600.0, fresh: bool = False) -> Answer:
@@ -158,7 +158,7 @@ def test_a_table_that_nobody_holds_any_more_is_computed_again(simulated: Run, wo
     """Once, afresh, then the rays."""
     simulated(preset="S_b1")
     workers.gone = True
-    workers._rays = RayComputation(workers._fetch, FreshExits())
+    workers._rays = RayComputation(workers._fetch, ExitSource())
     simulated(preset="S_b1")
     assert workers.fresh == 1
 

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from containers.ray_tracing.estimate import student_t
 from containers.ray_tracing.monte_carlo import BLOCK
-from containers.ray_tracing.simulation import FreshExits, simulate
+from containers.ray_tracing.exit_source import ExitSource
+from containers.ray_tracing.simulation import simulate
 from containers.ray_tracing.stopping import FIRST_BLOCKS, Target, next_blocks, run_to_error
 from containers.ray_tracing.tally import Tally
 from containers.stack import dbr_of
@@ -50,7 +51,7 @@ def film(pairs: float = 0.5, **environment: Any) -> FilmTable:
 def traced(asked: RayRequest, threads: int | None = None) -> tuple[dict[str, Any], Arrays]:
     """Document and arrays."""
     table = film(asked.design.dbr_pairs) if asked.design.dbr_pairs else None
-    return simulate(asked, table, FreshExits(threads), Progress(), threads)
+    return simulate(asked, table, ExitSource(threads=threads), Progress(), threads)
 
 
 @cache
@@ -159,7 +160,7 @@ def test_a_film_turns_light_back() -> None:
     """With half a pair the light through the top is another; the document says nothing of pairs it was not asked."""
     design = DESIGN | {"dbr_pairs": 4.5}
     table = film(4.5)
-    coated, _ = simulate(request(design=design), table, FreshExits(), Progress())
+    coated, _ = simulate(request(design=design), table, ExitSource(), Progress())
     through = "through_dbr"
     assert not within_errors(coated["optical_events"][through], plain()[0]["optical_events"][through], 10.0)
 
@@ -331,7 +332,7 @@ def test_a_film_must_be_the_designs() -> None:
         (request(design=DESIGN | {"dbr_pairs": 9.5}), coarse),
     ):
         with pytest.raises(InputError) as caught:
-            simulate(given_request, table, FreshExits(), Progress())
+            simulate(given_request, table, ExitSource(), Progress())
         assert caught.value.field == "film"
 
 
@@ -341,7 +342,7 @@ def test_a_stop_is_heard() -> None:
     progress.stop.set()
     for asked in (request(), request(stored_exits=True), request(histories=None, target_error_points=0.1)):
         with pytest.raises(Stopped):
-            simulate(asked, None, FreshExits(), progress)
+            simulate(asked, None, ExitSource(), progress)
 
 
 # When a run stops

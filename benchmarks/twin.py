@@ -1,0 +1,217 @@
+"""The deterministic twin beside Monte Carlo: four designs, random designs, a finite module, derivatives, images.
+
+    python benchmarks/twin.py [designs] [random] [module] [derivatives] [images] [mirror]
+
+Each table says how the twin differs from long Monte Carlo runs and how well those are known. The exits of the twin and of
+Monte Carlo are independent (other seeds), so both errors count; "sd" is their sum in squares.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from time import perf_counter, process_time
+
+import numpy as np
+from numpy.typing import NDArray
+
+from containers.bsdf import Lambertian, Mirror
+from containers.ray_tracing.build import cell_of, scene_of
+from containers.ray_tracing.columns import COLUMNS, film_column
+from containers.ray_tracing.exits import Exits, Landing, make_exits
+from containers.ray_tracing.field import CellField, ModuleField
+from containers.ray_tracing.module_twin import ModuleTwin
+from containers.ray_tracing.monte_carlo import BLOCK
+from containers.ray_tracing.prediction import Shot, Supply, image_of, jacobian, twin_images
+from containers.ray_tracing.twin import cell_field
+from containers.ray_tracing.uniformity import cell_region, uniformity
+from containers.scene import Array, Emission, Receiver, Scene
+from containers.stack import dbr_of
+from containers.thin_film.table import film_table
+from luxloop.camera import Camera
+from luxloop.design import Bounds, Design
+from luxloop.film import Spectrum
+from luxloop.model import Environment
+from luxloop.model_file import find_model
+
+Real = NDArray[np.float64]
+DESIGNS = {
+    "S_b3, none": (180.0, 28.0, 500.0, 35.0, 0.0),
+    "S_b3, 6.5": (180.0, 28.0, 500.0, 35.0, 6.5),
+    "S_b1, 5.5": (180.0, 40.0, 400.0, 20.0, 5.5),
+    "S_b2, 5.5": (160.0, 20.0, 460.0, 15.0, 5.5),
+}
+MODELS = "clear_chip", "paper"
+
+
+def scene_at(environment: Environment, design: Design) -> Scene:
+    """A cell of the design with its film."""
+    spectrum = Spectrum(peak_nm=environment.peak_nm, fwhm_nm=environment.fwhm_nm)
+    film = film_table(dbr_of(environment, design.dbr_pairs), spectrum) if design.dbr_pairs else None
+    return scene_of(environment, design, film, cell_of(environment, design))
+
+
+def cell_of_tally(scene: Scene, bins: Real, histories: int) -> CellField:
+    """Monte Carlo's field."""
+    return CellField.from_bins(bins, histories, scene.layout.spacing_um, scene.height_um, folded=True)
+
+
+def compared(scene: Scene, twin_blocks: int, mc_blocks: int, landings: int = 1) -> str:
+    """A row: U and map of the twin less those of Monte Carlo, with errors; Monte Carlo lands its exits several times."""
+    exits = make_exits(scene, 11, twin_blocks * BLOCK)
+    start = perf_counter()
+    field = cell_field(scene, exits)
+    twin_s = perf_counter() - start
+    others, runs = make_exits(scene, 12, mc_blocks * BLOCK), []
+    for seed in range(landings):
+        tally = Landing(scene, others, seed, survival=1.0).run_to(mc_blocks * BLOCK)
+        runs.append(tally.cell_bins())
+    long = cell_of_tally(scene, np.mean(runs, axis=0), tally.histories)
+    region = cell_region(scene.layout.spacing_um)
+    twin_u, mc_u = uniformity(field, region), uniformity(long, region)
+    own, other = field.map(64), long.map(64)
+    mean = other.mean()
+    rms = 100.0 * np.sqrt(np.mean((own.mean(axis=0) - other.mean(axis=0)) ** 2)) / mean
+    noise = 100.0 * np.sqrt(np.mean(own.var(axis=0, ddof=1) + other.var(axis=0, ddof=1)) / len(own)) / mean
+    sd = 100.0 * np.hypot(twin_u.standard_error, mc_u.standard_error)
+    change = 100.0 * (twin_u.value - mc_u.value)
+    return (
+        f"{100 * mc_u.value:7.2f} {change:+6.2f} {sd:5.2f}   {rms:6.2f} {noise:6.2f}   "
+        f"{100 * (field.mean / long.mean - 1):+7.3f}   {twin_s:5.2f} s"
+    )
+
+
+HEAD = "     U %   twin-MC   sd   map rms %  of it noise  mean %    twin"
+
+
+def designs() -> None:
+    """The four designs of the paper under both models."""
+    print("four designs, twin 8.4 M histories, Monte Carlo 8.4 M landed twice\n" + " " * 22 + HEAD)
+    for model in MODELS:
+        for name, numbers in DESIGNS.items():
+            scene = scene_at(find_model(model).environment, Design.from_vector(numbers))
+            print(f"{model:10s} {name:11s}", compared(scene, 256, 256, 2), flush=True)
+
+
+def random_designs(count: int = 50) -> None:
+    """Random designs of the paper's grid, the models in turn."""
+    print(f"{count} random designs of the paper's grid, 1 M histories each\n" + " " * 44 + HEAD)
+    rng, rows = np.random.default_rng(5), []
+    grid = list(Bounds.preset("paper-grid").grid())
+    while len(rows) < count:
+        design = grid[rng.integers(len(grid))]
+        if design.feasibility() is not None:
+            continue
+        model = MODELS[len(rows) % 2]
+        try:
+            row = compared(scene_at(find_model(model).environment, design), 32, 32)
+        except ValueError as refused:
+            row = f"refused: {refused}"
+        rows.append(row)
+        print(f"{model:10s} {design!s:44s}", row, flush=True)
+
+
+def module() -> None:
+    """5 x 5 chips and a single one, whole receiver, against Monte Carlo with its eight images averaged."""
+    print("finite modules of S_b3, 0.5 M histories of exits in both, Monte Carlo landed 12 times; % of the mean")
+    for model in MODELS:
+        for count, half in ((5, None), (1, 500.0)):
+            cell = scene_at(find_model(model).environment, Design.from_vector(DESIGNS["S_b3, none"]))
+            scene = replace(cell, layout=Array.regular(count, count, 500.0, half))
+            exits, maps = make_exits(scene, 11, 16 * BLOCK), []
+            at = np.linspace(-scene.layout.half_x_um, scene.layout.half_x_um, 66)[1:-1]
+            for seed in range(12):
+                tally = Landing(scene, exits, seed, survival=1.0).run_to(16 * BLOCK)
+                maps.append(eight_images(module_of_tally(tally.bins, tally.histories, tally.box, scene).grid(at, at)[0]))
+            twin = eight_images(ModuleTwin(scene, exits).mean(at, at))
+            long = np.mean(maps, axis=0)
+            noise = np.sqrt(np.mean(np.var(maps, axis=0, ddof=1)) / 12) / long.mean()
+            rms = np.sqrt(np.mean((twin - long) ** 2)) / long.mean()
+            print(f"{model:10s} {count} x {count}: mean {100 * (twin.mean() / long.mean() - 1):+.3f}, rms {100 * rms:.2f}, noise {100 * noise:.2f}")
+
+
+def module_of_tally(bins: Real, histories: int, box: object, scene: Scene) -> ModuleField:
+    """Monte Carlo's field of a finite module, all groups together twice."""
+    chips = scene.layout.power.size
+    x0, y0, step, rows, columns = box.x0_um, box.y0_um, box.step_um, box.rows, box.columns
+    whole = bins.sum(axis=(0, 1))
+    area = x0, x0 + columns * step, y0, y0 + rows * step
+    return ModuleField.from_bins(np.stack([whole] * 2), histories * len(bins) // chips, area, scene.height_um)
+
+
+def eight_images(image: Real) -> Real:
+    """The mean of a map and its mirror images."""
+    four = (image + image[::-1] + image[:, ::-1] + image[::-1, ::-1]) / 4.0
+    return (four + four.T) / 2.0
+
+
+def derivatives(names: tuple[str, ...] = tuple(COLUMNS)) -> None:
+    """Derivatives of the lowest waves of a cell, beside central differences of Monte Carlo with common random numbers."""
+    for model in MODELS:
+        scene = scene_at(find_model(model).environment, Design.from_vector(DESIGNS["S_b3, 6.5"]))
+        print(f"{model}, S_b3 6.5 pairs: change of the modes (0,0) (1,0) (1,1) per step, x 1e5, twin | Monte Carlo | its error")
+        exits: Callable[[Scene], Exits] = lambda s: make_exits(s, 11, 16 * BLOCK, notes=True)
+        supply = Supply(exits)
+        for name in names:
+            column = COLUMNS[name]
+            (up, _), (down, _) = column.stencil(scene)[-2:]
+            ends = [column.move(scene, amount) for amount in (up, down)]
+            twin = np.subtract(*[cell_field(s, supply.of(s)).coefficients for s in ends])
+            long = []
+            for s in ends:
+                tally = Landing(s, make_exits(s, 21, 64 * BLOCK), 5, survival=1.0).run_to(64 * BLOCK)
+                long.append(cell_of_tally(s, tally.cell_bins(), tally.histories).coefficients)
+            mc = np.subtract(*long)
+            modes = (0, 0), (0, 1), (1, 1)
+            show = lambda d: " ".join(f"{1e5 * d[m]:8.1f}" for m in modes)  # noqa: E731
+            errors = [d.std(axis=0, ddof=1) / np.sqrt(len(d)) for d in (twin, mc)]
+            print(f"  {name:22s} {show(twin.mean(axis=0))} | {show(mc.mean(axis=0))} | {show(np.hypot(*errors))}", flush=True)
+
+
+def images() -> None:
+    """Six camera images with exits at hand, and all columns of the Jacobian."""
+    clear = find_model("clear_chip").environment
+    shots = []
+    for pairs in (0.0, 5.5, 6.5):
+        cell = scene_at(clear, Design.from_vector((180.0, 28.0, 500.0, 35.0, pairs)))
+        shots += [Shot(replace(cell, layout=Array.regular(n, n, 500.0, half)), Camera(psf_um=10.0)) for n, half in ((1, 600.0), (5, None))]
+    supply = Supply(lambda scene: make_exits(scene, 7, 4 * BLOCK, notes=True))
+    print("six images of 128 x 128 at 8 um (single chips and 5 x 5), exits at hand")
+    for blocks in (1, 4):
+        options = {"blocks": blocks, "shadow_rays": 4096}
+        twin_images(shots, supply, **options)
+        times = []
+        for _ in range(7):
+            wall, cpu = perf_counter(), process_time()
+            twin_images(shots, supply, **options)
+            times.append((perf_counter() - wall, process_time() - cpu))
+        best = np.min(times, axis=0)
+        print(f"  {blocks * 32768:7d} histories: best wall {1e3 * best[0]:.0f} ms, processor time {1e3 * best[1]:.0f} ms")
+    columns = [*COLUMNS.values(), film_column(lambda scene: shots[-1].scene.chip.top)]
+    start = perf_counter()
+    found = jacobian(shots, columns, supply, blocks=1, shadow_rays=4096)
+    print(f"  Jacobian {found.shape}: {perf_counter() - start:.1f} s, new walks in moved chips included")
+
+
+def mirror() -> None:
+    """Case A: light from the chip's top, mirror substrate of 0.97: no lobe, the closed form alone, and with the chips."""
+    scene = scene_at(find_model("clear_chip").environment, Design.from_vector(DESIGNS["S_b3, none"]))
+    lambertian = Emission(from_top=True)
+    for name, substrate in (("mirror", Mirror(0.97)), ("lobe", scene.substrate), ("Lambertian", Lambertian(0.97))):
+        case = replace(scene, emission=lambertian, substrate=substrate, receiver=Receiver(Lambertian(0.35)))
+        exits = make_exits(case, 1, 128 * BLOCK)
+        maps = [Landing(case, exits, seed, survival=1.0).run_to(128 * BLOCK).cell_bins() for seed in (1, 2)]
+        long = cell_of_tally(case, np.mean(maps, axis=0), 128 * BLOCK)
+        for shadow in (False, True):
+            field = cell_field(case, exits, shadow=shadow)
+            own, other = field.map(64).mean(axis=0), long.map(64).mean(axis=0)
+            rms = np.sqrt(np.mean((own - other) ** 2)) / other.mean()
+            print(f"case A, {name:10s} chips {'counted' if shadow else 'ignored':8s}: mean {long.mean:.4f} {100 * (field.mean / long.mean - 1):+.3f} %, map rms {100 * rms:.2f} %")
+
+
+SECTIONS = {"designs": designs, "random": random_designs, "module": module, "derivatives": derivatives, "images": images, "mirror": mirror}
+
+if __name__ == "__main__":
+    for wanted in sys.argv[1:] or SECTIONS:
+        SECTIONS[wanted]()
