@@ -114,7 +114,7 @@ def random_designs(count: int = 50) -> None:
 
 def module() -> None:
     """5 x 5 chips and a single one, whole receiver, against Monte Carlo with its eight images averaged."""
-    print("finite modules of S_b3, 0.5 M histories of exits in both, Monte Carlo landed 12 times; % of the mean")
+    print("finite modules of S_b3, 0.5 M histories of exits in both, both landed 12 times; % of the mean")
     for model in MODELS:
         for count, half in ((5, None), (1, 500.0)):
             cell = scene_at(find_model(model).environment, Design.from_vector(DESIGNS["S_b3, none"]))
@@ -123,12 +123,18 @@ def module() -> None:
             at = np.linspace(-scene.layout.half_x_um, scene.layout.half_x_um, 66)[1:-1]
             for seed in range(12):
                 tally = Landing(scene, exits, seed, survival=1.0).run_to(16 * BLOCK)
-                maps.append(eight_images(module_of_tally(tally.bins, tally.histories, tally.box, scene).grid(at, at)[0]))
-            twin = eight_images(ModuleTwin(scene, exits).mean(at, at))
+                maps.append(
+                    eight_images(module_of_tally(tally.bins, tally.histories, tally.box, scene).grid(at, at)[0])
+                )
+            twin = np.mean(
+                [eight_images(ModuleTwin(scene, exits, seed=seed).mean(at, at)) for seed in range(12)], axis=0
+            )
             long = np.mean(maps, axis=0)
             noise = np.sqrt(np.mean(np.var(maps, axis=0, ddof=1)) / 12) / long.mean()
             rms = np.sqrt(np.mean((twin - long) ** 2)) / long.mean()
-            print(f"{model:10s} {count} x {count}: mean {100 * (twin.mean() / long.mean() - 1):+.3f}, rms {100 * rms:.2f}, noise {100 * noise:.2f}")
+            print(
+                f"{model:10s} {count} x {count}: mean {100 * (twin.mean() / long.mean() - 1):+.3f}, rms {100 * rms:.2f}, noise {100 * noise:.2f}"
+            )
 
 
 def module_of_tally(bins: Real, histories: int, box: object, scene: Scene) -> ModuleField:
@@ -150,7 +156,9 @@ def derivatives(names: tuple[str, ...] = tuple(COLUMNS)) -> None:
     """Derivatives of the lowest waves of a cell, beside central differences of Monte Carlo with common random numbers."""
     for model in MODELS:
         scene = scene_at(find_model(model).environment, Design.from_vector(DESIGNS["S_b3, 6.5"]))
-        print(f"{model}, S_b3 6.5 pairs: change of the modes (0,0) (1,0) (1,1) per step, x 1e5, twin | Monte Carlo | its error")
+        print(
+            f"{model}, S_b3 6.5 pairs: change of the modes (0,0) (1,0) (1,1) per step, x 1e5, twin | Monte Carlo | its error"
+        )
         exits: Callable[[Scene], Exits] = lambda s: make_exits(s, 11, 16 * BLOCK, notes=True)
         supply = Supply(exits)
         for name in names:
@@ -166,7 +174,10 @@ def derivatives(names: tuple[str, ...] = tuple(COLUMNS)) -> None:
             modes = (0, 0), (0, 1), (1, 1)
             show = lambda d: " ".join(f"{1e5 * d[m]:8.1f}" for m in modes)  # noqa: E731
             errors = [d.std(axis=0, ddof=1) / np.sqrt(len(d)) for d in (twin, mc)]
-            print(f"  {name:22s} {show(twin.mean(axis=0))} | {show(mc.mean(axis=0))} | {show(np.hypot(*errors))}", flush=True)
+            print(
+                f"  {name:22s} {show(twin.mean(axis=0))} | {show(mc.mean(axis=0))} | {show(np.hypot(*errors))}",
+                flush=True,
+            )
 
 
 def images() -> None:
@@ -175,7 +186,10 @@ def images() -> None:
     shots = []
     for pairs in (0.0, 5.5, 6.5):
         cell = scene_at(clear, Design.from_vector((180.0, 28.0, 500.0, 35.0, pairs)))
-        shots += [Shot(replace(cell, layout=Array.regular(n, n, 500.0, half)), Camera(psf_um=10.0)) for n, half in ((1, 600.0), (5, None))]
+        shots += [
+            Shot(replace(cell, layout=Array.regular(n, n, 500.0, half)), Camera(psf_um=10.0))
+            for n, half in ((1, 600.0), (5, None))
+        ]
     supply = Supply(lambda scene: make_exits(scene, 7, 4 * BLOCK, notes=True))
     print("six images of 128 x 128 at 8 um (single chips and 5 x 5), exits at hand")
     for blocks in (1, 4):
@@ -187,7 +201,9 @@ def images() -> None:
             twin_images(shots, supply, **options)
             times.append((perf_counter() - wall, process_time() - cpu))
         best = np.min(times, axis=0)
-        print(f"  {blocks * 32768:7d} histories: best wall {1e3 * best[0]:.0f} ms, processor time {1e3 * best[1]:.0f} ms")
+        print(
+            f"  {blocks * 32768:7d} histories: best wall {1e3 * best[0]:.0f} ms, processor time {1e3 * best[1]:.0f} ms"
+        )
     columns = [*COLUMNS.values(), film_column(lambda scene: shots[-1].scene.chip.top)]
     start = perf_counter()
     found = jacobian(shots, columns, supply, blocks=1, shadow_rays=4096)
@@ -207,10 +223,19 @@ def mirror() -> None:
             field = cell_field(case, exits, shadow=shadow)
             own, other = field.map(64).mean(axis=0), long.map(64).mean(axis=0)
             rms = np.sqrt(np.mean((own - other) ** 2)) / other.mean()
-            print(f"case A, {name:10s} chips {'counted' if shadow else 'ignored':8s}: mean {long.mean:.4f} {100 * (field.mean / long.mean - 1):+.3f} %, map rms {100 * rms:.2f} %")
+            print(
+                f"case A, {name:10s} chips {'counted' if shadow else 'ignored':8s}: mean {long.mean:.4f} {100 * (field.mean / long.mean - 1):+.3f} %, map rms {100 * rms:.2f} %"
+            )
 
 
-SECTIONS = {"designs": designs, "random": random_designs, "module": module, "derivatives": derivatives, "images": images, "mirror": mirror}
+SECTIONS = {
+    "designs": designs,
+    "random": random_designs,
+    "module": module,
+    "derivatives": derivatives,
+    "images": images,
+    "mirror": mirror,
+}
 
 if __name__ == "__main__":
     for wanted in sys.argv[1:] or SECTIONS:

@@ -70,7 +70,9 @@ def lambert(x: Real) -> Real:
 @lru_cache(maxsize=1)
 def _lambert_table() -> tuple[Real, Real]:
     root = np.linspace(0.0, _LAMBERT_END**0.5, _LAMBERT_NODES)
-    return root, lambert_transform(root**2)
+    x = np.maximum(root**2, 1e-12)
+    near_zero = 1.0 + x * x / 2.0 * (np.log(x / 2.0) + np.euler_gamma - 0.5)
+    return root, np.where(x < 1e-3, near_zero, lambert_transform(x))
 
 
 def ways_of(bsdf: Bsdf) -> list[tuple[type[Bsdf], float, float]]:
@@ -82,7 +84,9 @@ def ways_of(bsdf: Bsdf) -> list[tuple[type[Bsdf], float, float]]:
     if isinstance(bsdf, Mixture):
         pairs = zip(bsdf.parts, bsdf.shares, strict=True)
         return [(kind, sigma, share * part) for inner, share in pairs for kind, sigma, part in ways_of(inner)]
-    raise InputError("substrate", type(bsdf).__name__, "Lambertian, Mirror, GaussianLobe or a Mixture", "use Monte Carlo")
+    raise InputError(
+        "substrate", type(bsdf).__name__, "Lambertian, Mirror, GaussianLobe or a Mixture", "use Monte Carlo"
+    )
 
 
 def _pairs(substrate: Bsdf) -> list[tuple[float, float, tuple[bool, bool]]]:
@@ -136,7 +140,7 @@ def lobe_table(sigma_rad: float) -> Real:
     Means of J0(x |t + t'|) - J0(2 x t) over sin^2 theta (uniform by Lambert's law), the lobe's own angle, and its
     azimuth; the directions are `GaussianLobe`'s own, at nodes instead of random numbers. Towards grazing angles the
     waves are finer than the nodes: each is averaged over its node's width, a factor sinc. Against 3 M random rays
-    the error is below 4e-4 for sigma up to 30 deg, below 1e-4 at 5 deg.
+    the error is below 1e-4 at sigma 5 deg, 1e-3 at 15 deg and 2.5e-3 at 30 deg.
     """
     share, weight = (1.0 + _SLOPES[0]) / 2.0, _SLOPES[1] / 2.0
     theta = np.arcsin(np.sqrt(share))

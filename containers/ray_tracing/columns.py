@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from containers.bsdf import Bsdf, GaussianLobe, Lambertian, Mirror, Mixture, SpecularTable
+from containers.ray_tracing.packing import node_angles
 from containers.scene import Array, Face, Scene
 from luxloop.errors import InputError
 
@@ -125,6 +126,7 @@ def film_column(tops: Callable[[Scene], Face], name: str = "film") -> Column:
 
     A film's thickness, index or roughness changes its powers R and T in proportion as long as the change is small.
     """
+
     def move(scene: Scene, amount: float) -> Scene:
         own, other = scene.chip.top, tops(scene)
         inside, outside = (
@@ -137,9 +139,13 @@ def film_column(tops: Callable[[Scene], Face], name: str = "film") -> Column:
 
 
 def _between(own: Bsdf, other: Bsdf, amount: float) -> SpecularTable:
-    """Powers (1 - amount) own + amount other, at the nodes of a table among them."""
-    table = next((face for face in (own, other) if isinstance(face, SpecularTable)), None)
-    theta = table.theta_in_rad if table is not None else np.linspace(0.0, np.pi / 2, 2049)
+    """Powers (1 - amount) own + amount other, at the kernels' nodes and those of tables among them."""
+    n = max(own.index_ratio, 1.0 / own.index_ratio)
+    nodes = [
+        node_angles(n, own.index_ratio > 1.0),
+        *(f.theta_in_rad for f in (own, other) if isinstance(f, SpecularTable)),
+    ]
+    theta = np.unique(np.concatenate(nodes))
     (R, T), (R1, T1) = own.deltas(theta), other.deltas(theta)
     R, T = (np.clip(a + amount * (b - a), 0.0, 1.0) for a, b in ((R, R1), (T, T1)))
     return SpecularTable(theta, R, np.minimum(T, 1.0 - R), own.index_ratio)

@@ -146,7 +146,9 @@ def lambertian_part(receiver: Bsdf) -> tuple[float, Bsdf]:
     if isinstance(receiver, Mirror | GaussianLobe):
         return 0.0, receiver
     mend = "use Monte Carlo"
-    raise InputError("receiver", type(receiver).__name__, "Lambertian, Mirror, GaussianLobe or a Mixture of them", mend)
+    raise InputError(
+        "receiver", type(receiver).__name__, "Lambertian, Mirror, GaussianLobe or a Mixture of them", mend
+    )
 
 
 def open_way(scene: Scene, box: Box) -> Way:
@@ -154,7 +156,9 @@ def open_way(scene: Scene, box: Box) -> Way:
     _, followed = lambertian_part(scene.receiver.bsdf)
     white, kept = without_loss(scene.substrate)
     # the chip's bottom stays as it is: what is lost there decides how long a ray stays inside
-    chip = scene.chip if scene.chip.bottom != "contact" else replace(scene.chip, bottom="mirror", mirror=scene.substrate)
+    chip = (
+        scene.chip if scene.chip.bottom != "contact" else replace(scene.chip, bottom="mirror", mirror=scene.substrate)
+    )
     black = replace(scene, chip=chip, substrate=white, receiver=replace(scene.receiver, bsdf=Lambertian(0.0)))
     arrays = scene_arrays(black)
     rest = arrays if followed == Lambertian(0.0) else scene_arrays(replace(black, receiver=Receiver(followed)))
@@ -195,7 +199,19 @@ def direct_light(
             mine = slice(exits.ends[group, 0], exits.ends[group, blocks])
             weights = np.zeros(0, np.float32) if exits.weights is None else exits.weights[mine]
             first = exits.first_block * BLOCK
-            land_direct(way.arrays, emission, numbers, group, own, first, exits.rays[mine], weights, lost, work, bins[together])
+            land_direct(
+                way.arrays,
+                emission,
+                numbers,
+                group,
+                own,
+                first,
+                exits.rays[mine],
+                weights,
+                lost,
+                work,
+                bins[together],
+            )
 
     in_parallel(land, range(groups), threads)
     ledger = exits.ledger[:, :blocks].sum(axis=1).reshape(groups, -1, len(ENDS)).sum(axis=1)
@@ -266,9 +282,7 @@ def land_direct(
 
 
 @borrowing_kernel
-def reaches_receiver(
-    scene: SceneArrays, wave: int, ray: Real, stream: Stream, sinks: Sinks, trace: Real
-) -> bool:
+def reaches_receiver(scene: SceneArrays, wave: int, ray: Real, stream: Stream, sinks: Sinks, trace: Real) -> bool:
     """Follow a ray outside the chips to the (black) receiver; False where it ends elsewhere."""
     while True:
         sinks.ledger[RECEIVER_END] = 0.0

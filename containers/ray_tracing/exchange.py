@@ -33,11 +33,15 @@ class Exchange:
 
     Parameters
     ----------
-    returned : factor on what comes up again, for the chips that stand in the way.
+    lost : share of what a cell's chip keeps from coming up again, of all light sent back in a cell that repeats.
+
+    Notes
+    -----
+    A chip takes from the places that see it, by Lambert's law from the distance: in an endless array everywhere `lost`.
     """
 
     def __init__(
-        self, layout: Array, substrate: Bsdf, receiver: Receiver, distance_um: float, returned: float = 1.0
+        self, layout: Array, substrate: Bsdf, receiver: Receiver, distance_um: float, lost: float = 0.0
     ) -> None:
         halves = layout.half_y_um, layout.half_x_um
         self._shape = tuple(int(np.ceil(2.0 * half * STEPS_PER_DISTANCE / distance_um)) for half in halves)
@@ -45,24 +49,25 @@ class Exchange:
         self._padded = tuple(2 * count for count in self._shape)
         ky, kx = (2.0 * np.pi * np.fft.fftfreq(n, step) for n, step in zip(self._padded, self._step, strict=True))
         self._k = np.hypot(ky[:, None], kx[: self._padded[1] // 2 + 1])
-        self._kept = lambertian_part(receiver.bsdf)[0] * returned
+        self._kept = lambertian_part(receiver.bsdf)[0]
+        self._returned = self._past_chips(layout, distance_um, lost)
         ways = ways_of(substrate)
         self._diffuse = sum(share for kind, _, share in ways if kind is Lambertian)
         direct = sum(share for kind, _, share in ways if kind is not Lambertian)
         x = self._k * distance_um
-        in_waves = round_trip(substrate, receiver, x) - direct * lambert(2.0 * x)
+        all_of_it = round_trip(substrate, receiver, x)
+        in_waves = all_of_it - direct * lambert(2.0 * x)
         if self._diffuse:
-            in_waves -= self._diffuse * lambert(x) ** 2
+            in_waves = in_waves - self._diffuse * lambert(x) ** 2
         self._straight = direct * self._by_lambert(2.0 * distance_um) + in_waves
         self._down = self._by_lambert(distance_um)
-        self._more_recorded = round_trip(substrate, receiver, x, recorded=True) - round_trip(substrate, receiver, x)
+        plain = bool(np.all(receiver.response == 1.0))
+        self._more_recorded = 0.0 if plain else round_trip(substrate, receiver, x, recorded=True) - all_of_it
 
     @property
     def centres_um(self) -> tuple[Real, Real]:
         """x and y of the grid's cells, from edge to edge of the module."""
-        y, x = (
-            (np.arange(n) - (n - 1) / 2.0) * step for n, step in zip(self._shape, self._step, strict=True)
-        )
+        y, x = ((np.arange(n) - (n - 1) / 2.0) * step for n, step in zip(self._shape, self._step, strict=True))
         return x, y
 
     def solve(self, direct: Real) -> Complex:
@@ -77,7 +82,7 @@ class Exchange:
             waves = self._once(direct + again)
             before, again = again, self._inside(waves)
             if float(np.abs(again - before).max()) <= TOLERANCE * largest:
-                sent = np.fft.rfft2(direct + again, self._padded)
+                sent = np.fft.rfft2(self._returned * (direct + again), self._padded)
                 return np.asarray(waves + self._kept * self._more_recorded * sent)
         raise InputError("receiver", self._kept, "less light sent back and forth", "the iteration does not settle")
 
@@ -100,7 +105,7 @@ class Exchange:
 
     def _once(self, light: Real) -> Complex:
         """Waves of what comes up again of the light on the grid."""
-        sent = np.fft.rfft2(light, self._padded)
+        sent = np.fft.rfft2(self._returned * light, self._padded)
         waves = sent * self._straight
         if self._diffuse:
             on_substrate = self._inside(sent * self._down)
@@ -110,6 +115,16 @@ class Exchange:
     def _inside(self, waves: Complex) -> Real:
         rows, columns = self._shape
         return np.asarray(np.fft.irfft2(waves, self._padded)[:rows, :columns])
+
+    def _past_chips(self, layout: Array, height_um: float, lost: float) -> Real:
+        """What of the light sent back at each cell of the grid comes up again as if there were no chips."""
+        returned = np.ones(self._shape)
+        if lost:
+            x, y = self.centres_um
+            for cx, cy in layout.centres_um.reshape(-1, 2):
+                r2 = np.add.outer((y - cy) ** 2, (x - cx) ** 2)
+                returned -= lost * layout.spacing_um**2 * height_um**2 / (np.pi * (r2 + height_um**2) ** 2)
+        return returned
 
     def _by_lambert(self, height_um: float) -> Real:
         """Transform of h^2 / (pi (r^2 + h^2)^2) as it lies on the grid."""

@@ -42,6 +42,7 @@ class ModuleTwin:
     ----------
     exits : of the scene's chip. blocks : how many of their blocks to use.
     groups : independent groups that are kept apart, a divisor of the exits' groups; 2 are the fewest, and the fastest.
+    seed : of all frozen random numbers.
     shadow_rays : rays that measure what the chips take from the light sent back; 0: they take nothing.
 
     Raises
@@ -50,7 +51,7 @@ class ModuleTwin:
 
     Notes
     -----
-    What chips take from the light sent back is spread over the module: the cell's, by the share of the area with chips.
+    What a chip takes from the light sent back is that of an endless array's chip, from the places that see it.
     """
 
     def __init__(
@@ -61,6 +62,7 @@ class ModuleTwin:
         blocks: int | None = None,
         groups: int = 2,
         shadow_rays: int = RAYS,
+        seed: int = SEED,
         threads: int | None = None,
     ) -> None:
         if not isinstance(scene.layout, Array) or scene.layout.wall is not None or any(scene.tilt_per_um):
@@ -69,9 +71,11 @@ class ModuleTwin:
         self.scene, self.layout = scene, scene.layout
         way = open_way(*surroundings(scene))
         lit = emission_arrays(replace(scene, layout=Cell(scene.layout.spacing_um)))
-        self.chip = one_chip(scene, direct_light(way, lit, exits, SEED, blocks=blocks, groups=groups, threads=threads))
-        returned = self._returned(way, lit, shadow_rays, threads)
-        self.exchange = Exchange(self.layout, scene.substrate, scene.receiver, scene.distance_um, returned)
+        self.chip = one_chip(
+            scene, direct_light(way, lit, exits, seed, blocks=blocks, groups=groups, threads=threads)
+        )
+        lost = self._lost(way, lit, shadow_rays, seed, threads)
+        self.exchange = Exchange(self.layout, scene.substrate, scene.receiver, scene.distance_um, lost)
         k = np.hypot(*np.meshgrid(self.chip.y.wavenumber_per_um, self.chip.x.wavenumber_per_um, indexing="ij"))
         self._recorded = self.chip.coefficients.sum(axis=1) * plate(scene.receiver, k)
         self._spread = plate(scene.receiver, self.exchange.wavenumbers) if scene.receiver.spread_share else None
@@ -92,7 +96,12 @@ class ModuleTwin:
         """All groups as a field over the module and a pad beyond its edges."""
         box = Box.of(self.scene)
         x, y = (
-            Axis(-n * box.step_um / 2.0, n * box.step_um, int(TAPER_END * CUTOFF_X / self.scene.height_um * n * box.step_um / np.pi), "box")
+            Axis(
+                -n * box.step_um / 2.0,
+                n * box.step_um,
+                int(TAPER_END * CUTOFF_X / self.scene.height_um * n * box.step_um / np.pi),
+                "box",
+            )
             for n in (box.columns, box.rows)
         )
         at_x, at_y = ((np.arange(n) + 0.5 - n / 2.0) * box.step_um for n in (box.columns, box.rows))
@@ -107,25 +116,27 @@ class ModuleTwin:
 
     def _laid(self, chip: Real, x_um: Real, y_um: Real) -> Real:
         """Direct light (y, x) of all chips, from the coefficients of one; chips of one y are taken together."""
-        along_x: dict[float, Real] = defaultdict(lambda: np.zeros((x_um.size, chip.shape[1])))
-        for (cx, cy), power in zip(self.layout.centres_um.reshape(-1, 2), self.layout.power.ravel(), strict=True):
-            if power > 0.0:
-                along_x[float(cy)] += power * self.chip.x.functions(x_um - cx)
-        rows = [(self.chip.y.functions(y_um - cy), functions) for cy, functions in along_x.items()]
-        left, right = (np.concatenate(one, axis=1) for one in zip(*rows, strict=True))
+        functions, rows = self.chip.x.functions, defaultdict(lambda: np.zeros((x_um.size, chip.shape[1])))
+        of_column: dict[float, Real] = {}
+        for (cx, cy), power in zip(
+            self.layout.centres_um.reshape(-1, 2).tolist(), self.layout.power.ravel(), strict=True
+        ):
+            if cx not in of_column:
+                of_column[cx] = functions(x_um - cx)
+            rows[cy] += power * of_column[cx]
+        sides = [(self.chip.y.functions(y_um - cy), along_x) for cy, along_x in rows.items()]
+        left, right = (np.concatenate(one, axis=1) for one in zip(*sides, strict=True))
         size, many = chip.shape[0], len(rows)
         middle = np.concatenate([left[:, i * size : (i + 1) * size] @ chip for i in range(many)], axis=1)
         return np.asarray(middle @ right.T)
 
-    def _returned(self, way: Way, emission: EmissionArrays, rays: int, threads: int | None) -> float:
-        """Share of what would come up again without chips."""
-        if not rays:
-            return 1.0
-        axis = Axis(0.0, self.layout.spacing_um / 2.0, 1, "even")
-        dT = correction(way, emission, axis, axis, rays=rays, seed=SEED, threads=threads)
+    def _lost(self, way: Way, emission: EmissionArrays, rays: int, seed: int, threads: int | None) -> float:
+        """Share of what would come up again without chips that does not with them, in an endless array."""
         albedo = float(self.scene.substrate.albedo(np.array([0.5]))[0])
-        area = self.layout.power.size * self.layout.spacing_um**2 / (4.0 * self.layout.half_x_um * self.layout.half_y_um)
-        return 1.0 + float(dT[0, 0]) / albedo * min(area, 1.0) if albedo > 0.0 else 1.0
+        if not rays or albedo == 0.0:
+            return 0.0
+        axis = Axis(0.0, self.layout.spacing_um / 2.0, 1, "even")
+        return -float(correction(way, emission, axis, axis, rays=rays, seed=seed, threads=threads)[0, 0]) / albedo
 
 
 @dataclass(frozen=True)

@@ -104,9 +104,7 @@ class Anchor:
     def __init__(self, shots: Sequence[Shot], fields: Sequence[Field], supply: Supply, **options: int) -> None:
         if len(shots) != len(fields) or len({field.groups for field in fields}) != 1:
             raise InputError("fields", len(fields), f"{len(shots)}, one for each shot, with equally many groups")
-        replicas = np.stack(
-            [image_of(field.grid, shot) for shot, field in zip(shots, fields, strict=True)], axis=1
-        )
+        replicas = np.stack([image_of(field.grid, shot) for shot, field in zip(shots, fields, strict=True)], axis=1)
         self.shots, self._supply, self._options = tuple(shots), supply, options
         mean, groups = replicas.mean(axis=0), len(replicas)
         self._noise = (replicas - mean) / np.sqrt(groups * (groups - 1.0))

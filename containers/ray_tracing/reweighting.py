@@ -88,7 +88,11 @@ def can_reweight(stored: Scene, wanted: Scene) -> bool:
 def _bottom_factor(exits: Exits, stored: Scene, wanted: Scene) -> Real:
     _refuse_other_chip(stored, wanted)
     (_, kept), (_, now) = (without_loss(_bottom(scene)) for scene in (stored, wanted))
-    return np.asarray((now / kept) ** exits.notes[:, BOTTOM_HITS].astype(float)) if now != kept else np.ones(len(exits.rays))
+    return (
+        np.asarray((now / kept) ** exits.notes[:, BOTTOM_HITS].astype(float))
+        if now != kept
+        else np.ones(len(exits.rays))
+    )
 
 
 def _bottom(scene: Scene) -> Bsdf:

@@ -57,7 +57,14 @@ _STEPS = 0.7548776662466927, 0.5698402909980532
 
 
 def correction(
-    way: Way, emission: EmissionArrays, x: Axis, y: Axis, *, rays: int = RAYS, seed: int = 1, threads: int | None = None
+    way: Way,
+    emission: EmissionArrays,
+    x: Axis,
+    y: Axis,
+    *,
+    rays: int = RAYS,
+    seed: int = 1,
+    threads: int | None = None,
 ) -> Real:
     """dT (function, function) between the functions (y, x) of a cell, y first, that the two axes have.
 

@@ -31,14 +31,20 @@ SEED = 20261121
 
 
 def cell_field(
-    scene: Scene, exits: Exits, *, blocks: int | None = None, shadow: bool = True, threads: int | None = None
+    scene: Scene,
+    exits: Exits,
+    *,
+    blocks: int | None = None,
+    shadow: bool = True,
+    seed: int = SEED,
+    threads: int | None = None,
 ) -> CellField:
     """The field of a cell that repeats: relative illuminance, as `CellField.from_bins` gives it.
 
     Parameters
     ----------
     exits : of the scene's chip (with weights where they are another's). blocks : how many of their blocks to use.
-    shadow : whether chips stand in the way of what the receiver sends back.
+    shadow : whether chips stand in the way of what the receiver sends back. seed : of all frozen random numbers.
 
     Raises
     ------
@@ -53,7 +59,7 @@ def cell_field(
         raise InputError("layout", type(scene.layout).__name__, "a cell that repeats", "use module_twin")
     spacing, receiver = scene.layout.spacing_um, scene.receiver
     way, emission = open_way(scene, Box.of(scene)), emission_arrays(scene)
-    tally = direct_light(way, emission, exits, SEED, blocks=blocks, threads=threads)
+    tally = direct_light(way, emission, exits, seed, blocks=blocks, threads=threads)
 
     def field_of(layer: int) -> CellField:
         return CellField.from_bins(
@@ -67,7 +73,7 @@ def cell_field(
     kept, _ = lambertian_part(receiver.bsdf)
     T = round_trip(scene.substrate, receiver, k * scene.distance_um)
     low = low_axis(arrives.x, periods_seen(scene)), low_axis(arrives.y, periods_seen(scene))
-    dT = correction(way, emission, *low, seed=SEED, threads=threads) if shadow else None
+    dT = correction(way, emission, *low, seed=seed, threads=threads) if shadow else None
     direct = arrives.coefficients * cloud
     total = _all_light(direct, kept, T, dT, arrives)
     if tally.bins.shape[1] > 1:
@@ -102,4 +108,7 @@ def _all_light(direct: Real, kept: float, T: Real, dT: Real | None, field: CellF
 def _low(axis: Axis, dT: Real) -> NDArray[np.intp]:
     """Numbers of those functions of an axis that a correction is about."""
     count = round(len(dT) ** 0.5)
-    return np.flatnonzero(axis.wavenumber_per_um < axis.wavenumber_per_um[1] * ((count + 1) // 2 if axis.kind == "periodic" else count) * 0.999)
+    return np.flatnonzero(
+        axis.wavenumber_per_um
+        < axis.wavenumber_per_um[1] * ((count + 1) // 2 if axis.kind == "periodic" else count) * 0.999
+    )

@@ -1,0 +1,123 @@
+"""Stored exits of one chip that stand for another's."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from containers.bsdf import GaussianLobe, SpecularTable
+from containers.ray_tracing.arrays import THROUGH_TOP
+from containers.ray_tracing.exits import Exits, make_exits
+from containers.ray_tracing.kernel import EVENT_OF_EXIT, WEIGHT_OF_EXIT
+from containers.ray_tracing.monte_carlo import BLOCK
+from containers.ray_tracing.reweighting import reweighted
+from containers.scene import Face, Scene
+from luxloop.errors import InputError
+from tests.ray_scenes import N, scene
+
+Real = NDArray[np.float64]
+SIGMA = np.radians(5.0)
+
+
+def top(R: float) -> Face:
+    """A top that reflects alike at all angles of its escape cone."""
+    critical = np.arcsin(1.0 / N)
+    theta = np.array([0.0, critical, critical + 1e-9, np.pi / 2])
+    inside = SpecularTable(theta, np.array([R, R, 1.0, 1.0]), np.array([1.0 - R, 1.0 - R, 0.0, 0.0]), N)
+    return Face((inside,), (SpecularTable(np.array([0.0]), np.array([R]), np.array([1.0 - R]), 1.0 / N),))
+
+
+def leaving(exits: Exits) -> Real:
+    """(group, kind): light that leaves a chip per history: all, upwards, steeply upwards, straight through the top."""
+    weight = exits.rays[:, WEIGHT_OF_EXIT] * (1.0 if exits.weights is None else exits.weights)
+    up = exits.rays[:, 5]
+    kinds = [weight, weight * (up > 0.0), weight * (up > 0.7), weight * (exits.rays[:, EVENT_OF_EXIT] == THROUGH_TOP)]
+    groups = [np.add.reduceat(kind.astype(float), exits.ends[:, 0]) for kind in kinds]
+    return np.stack(groups, axis=1) / exits.histories
+
+
+CHANGES = {
+    "bottom": lambda s: replace(s, substrate=GaussianLobe(0.955, SIGMA)),
+    "absorption": lambda s: replace(s, chip=replace(s.chip, absorption_per_um=2e-3)),
+    "top": lambda s: replace(s, chip=replace(s.chip, top=top(0.45))),
+    "all": lambda s: replace(
+        s, substrate=GaussianLobe(0.98, SIGMA), chip=replace(s.chip, absorption_per_um=0.5e-3, top=top(0.35))
+    ),
+}
+
+
+@pytest.fixture(scope="module")
+def stored() -> tuple[Scene, Exits]:
+    """A chip with some absorption and a half-reflecting top, and its exits."""
+    own = scene({"absorption_per_um": 1e-3, "top": top(0.38)})
+    return own, make_exits(own, 3, 4 * BLOCK, notes=True)
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_reweighted_exits_carry_the_light_of_the_other_chip(stored: tuple[Scene, Exits], change: str) -> None:
+    """Light that leaves, by direction, agrees with a full walk in the changed chip, and differs from the stored one."""
+    own, exits = stored
+    other = CHANGES[change](own)
+    full, got = leaving(make_exits(other, 4, 4 * BLOCK)), leaving(reweighted(exits, own, other).exits)
+    error = np.sqrt((full.var(axis=0, ddof=1) + got.var(axis=0, ddof=1)) / len(full))
+    assert np.all(np.abs(got.mean(axis=0) - full.mean(axis=0)) < 4.0 * error)
+    moved = np.abs(leaving(exits).mean(axis=0) - full.mean(axis=0))
+    assert np.max(moved / error) > 8.0
+
+
+def test_no_change_is_no_change(stored: tuple[Scene, Exits]) -> None:
+    """The same chip has weights of exactly 1 and all its exits."""
+    own, exits = stored
+    same = reweighted(exits, own, replace(own, distance_um=150.0))
+    assert same.exits.weights is not None
+    assert np.array_equal(same.exits.weights, np.ones(len(exits.rays), np.float32))
+    assert same.effective_share == 1.0
+    assert same.inexact_share == 0.0
+
+
+def test_weights_multiply_along_a_chain_of_changes(stored: tuple[Scene, Exits]) -> None:
+    """By way of a chip in between the weights are the same as directly."""
+    own, exits = stored
+    between, last = CHANGES["absorption"](own), CHANGES["absorption"](CHANGES["bottom"](own))
+    direct = reweighted(exits, own, last).exits.weights
+    chained = reweighted(reweighted(exits, own, between).exits, between, last).exits.weights
+    assert direct is not None
+    assert chained is not None
+    np.testing.assert_allclose(chained, direct, rtol=1e-5)
+
+
+def test_larger_changes_leave_fewer_effective_exits(stored: tuple[Scene, Exits]) -> None:
+    """The effective share falls with the change, and rays with many reflections at a changed top are counted."""
+    own, exits = stored
+    shares = [
+        reweighted(exits, own, replace(own, chip=replace(own.chip, absorption_per_um=a))).effective_share
+        for a in (1.1e-3, 2e-3, 5e-3)
+    ]
+    assert 1.0 > shares[0] > shares[1] > shares[2] > 0.0
+    assert 0.0 < reweighted(exits, own, CHANGES["top"](own)).inexact_share < 0.05
+    assert reweighted(exits, own, CHANGES["bottom"](own)).inexact_share == 0.0
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        lambda s: replace(s, chip=replace(s.chip, width_um=29.0)),
+        lambda s: replace(s, substrate=GaussianLobe(0.97, 2.0 * SIGMA)),
+        lambda s: replace(s, emission=replace(s.emission, layer_depth=0.5)),
+    ],
+)
+def test_a_chip_that_the_notes_do_not_know_is_refused(stored: tuple[Scene, Exits], other: object) -> None:
+    """Another width, lobe or emission raises InputError."""
+    own, exits = stored
+    with pytest.raises(InputError, match="make the exits of this chip"):
+        reweighted(exits, own, other(own))  # type: ignore[operator]  # a lambda of the list above
+
+
+def test_exits_without_notes_are_refused(stored: tuple[Scene, Exits]) -> None:
+    """There is nothing to reckon from."""
+    own, exits = stored
+    with pytest.raises(InputError, match="notes=True"):
+        reweighted(replace(exits, notes=np.zeros((0, 7), np.float32)), own, own)
