@@ -1,4 +1,4 @@
-"""`python -m containers.warm_up`: compile the kernels of both workers now, so that no first task has to wait for it."""
+"""`python -m containers.warm_up`: compile the kernels of both workers, so that no first task has to wait for it."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Light that goes back and forth between receiver and substrate, reckoned instead of traced.
 
-What a Lambertian receiver sends back from a place comes up again spread by a kernel that depends on the distance only,
-so the endless module is solved wave by wave, and the finite one by iteration:
+What a Lambertian receiver sends back from a place comes up again spread by a kernel that depends on the distance
+only, so the endless module is solved wave by wave, and the finite one by iteration:
 
     E(k) = E0(k) / (1 - rho_r T(k))              E <- E0 + rho_r w F^-1[T F(w E)],  w = 1 inside the module
 
@@ -95,7 +95,7 @@ def _pairs(substrate: Bsdf) -> list[tuple[float, float, tuple[bool, bool]]]:
 
 
 def _twice(lambertian: tuple[bool, bool], x: Real) -> Real:
-    """Two round trips with a mirror for a receiver in between: stretches of straight way between Lambert's scatterings."""
+    """Two round trips with a mirror for a receiver: stretches of straight way between Lambert's scatterings."""
     first, second = lambertian
     stretches = [1 if first else 2] + ([2] if first and second else []) + [1 if second else 2]
     if first != second:
@@ -133,7 +133,7 @@ def _seen(x: Real, response: Real) -> Real:
 
 @lru_cache(maxsize=32)
 def lobe_table(sigma_rad: float) -> Real:
-    """What the round trip over a lobe without loss has beyond a mirror's, at NODES_X equal steps of sqrt(x) up to LAST_X.
+    """What the round trip over a lobe without loss has beyond a mirror's; (NODES_X,), equal steps of sqrt(x).
 
     Notes
     -----

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -45,7 +46,8 @@ def _share_of(share: float, least: float = 0.0) -> Callable[[float], float]:
     return lambda value: max(share * value, least)
 
 
-def _chip(scene: Scene, **changes: float) -> Scene:
+def _chip(scene: Scene, name: str, amount: float) -> Scene:
+    changes: dict[str, Any] = {name: getattr(scene.chip, name) + amount}
     return replace(scene, chip=replace(scene.chip, **changes))
 
 
@@ -105,17 +107,19 @@ def _receiver(scene: Scene, amount: float) -> Scene:
 COLUMNS = {
     column.name: column
     for column in (
-        Column("distance_um", lambda s: s.distance_um, lambda s, a: replace(s, distance_um=s.distance_um + a), _share_of(0.01)),
+        Column("distance_um", lambda s: s.distance_um,
+               lambda s, a: replace(s, distance_um=s.distance_um + a), _share_of(0.01)),
         Column("spacing_um", lambda s: s.layout.spacing_um, _spaced, _share_of(0.01)),
-        Column("width_um", lambda s: s.chip.width_um, lambda s, a: _chip(s, width_um=s.chip.width_um + a), _share_of(0.03)),
+        Column("width_um", lambda s: s.chip.width_um, lambda s, a: _chip(s, "width_um", a), _share_of(0.03)),
         Column("thickness_um", lambda s: s.chip.thickness_um,
-               lambda s, a: _chip(s, thickness_um=s.chip.thickness_um + a), _share_of(0.03)),
+               lambda s, a: _chip(s, "thickness_um", a), _share_of(0.03)),
         Column("substrate_reflectance", lambda s: _reflectance(s.substrate), _substrate, _share_of(0.01), high=1.0),
         Column("substrate_sigma_rad", lambda s: _sigma(s.substrate),
                lambda s, a: replace(s, substrate=_widened(s.substrate, a)), _share_of(0.03)),
-        Column("receiver_reflectance", lambda s: _reflectance(s.receiver.bsdf), _receiver, _share_of(0.03), high=0.999),
+        Column("receiver_reflectance", lambda s: _reflectance(s.receiver.bsdf), _receiver,
+               _share_of(0.03), high=0.999),
         Column("absorption_per_um", lambda s: s.chip.absorption_per_um,
-               lambda s, a: _chip(s, absorption_per_um=s.chip.absorption_per_um + a), _share_of(0.03, 1e-5)),
+               lambda s, a: _chip(s, "absorption_per_um", a), _share_of(0.03, 1e-5)),
     )
 }  # fmt: skip
 """Those that every scene has, by name; per um, rad, or of a share of 1."""

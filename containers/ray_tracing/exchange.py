@@ -9,8 +9,6 @@ the other end of the grid; by what a lobe differs from a mirror is short, and is
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -37,7 +35,7 @@ class Exchange:
 
     Notes
     -----
-    A chip takes from the places that see it, by Lambert's law from the distance: in an endless array everywhere `lost`.
+    A chip takes from the places that see it, by Lambert's law from the distance; all chips of an endless array `lost`.
     """
 
     def __init__(
@@ -67,7 +65,7 @@ class Exchange:
     @property
     def centres_um(self) -> tuple[Real, Real]:
         """x and y of the grid's cells, from edge to edge of the module."""
-        y, x = ((np.arange(n) - (n - 1) / 2.0) * step for n, step in zip(self._shape, self._step, strict=True))
+        y, x = (np.asarray((np.arange(n) - (n - 1) / 2.0) * d) for n, d in zip(self._shape, self._step, strict=True))
         return x, y
 
     def solve(self, direct: Real) -> Complex:
@@ -87,7 +85,7 @@ class Exchange:
         raise InputError("receiver", self._kept, "less light sent back and forth", "the iteration does not settle")
 
     def sum_up(self, waves: Complex, x_um: Real, y_um: Real, spread: Real | None = None) -> Real:
-        """Waves summed at every crossing (y, x) of the given places; `spread` is a factor on each, at `wavenumbers`."""
+        """Waves summed at every crossing (y, x) of the places; `spread` is a factor on each, at `wavenumbers`."""
         rows, columns = self._padded
         x0, y0 = (centres[0] for centres in self.centres_um)
         ky = 2.0 * np.pi * np.fft.fftfreq(rows, self._step[0])
@@ -101,7 +99,7 @@ class Exchange:
     @property
     def wavenumbers(self) -> Real:
         """Of the waves, rad/um."""
-        return self._k
+        return np.asarray(self._k)
 
     def _once(self, light: Real) -> Complex:
         """Waves of what comes up again of the light on the grid."""

@@ -41,7 +41,7 @@ class ModuleTwin:
     Parameters
     ----------
     exits : of the scene's chip. blocks : how many of their blocks to use.
-    groups : independent groups that are kept apart, a divisor of the exits' groups; 2 are the fewest, and the fastest.
+    groups : independent groups that are kept apart, a divisor of the exits' own; 2 are the fewest, and the fastest.
     seed : of all frozen random numbers.
     shadow_rays : rays that measure what the chips take from the light sent back; 0: they take nothing.
 
@@ -69,7 +69,7 @@ class ModuleTwin:
             what = "walls" if isinstance(scene.layout, Array) and scene.layout.wall else "cell or tilt"
             raise InputError("layout", what, "a finite array with open edges, level", "use cell_field or Monte Carlo")
         self.scene, self.layout = scene, scene.layout
-        way = open_way(*surroundings(scene))
+        way = open_way(*surroundings(scene, scene.layout))
         lit = emission_arrays(replace(scene, layout=Cell(scene.layout.spacing_um)))
         self.chip = one_chip(
             scene, direct_light(way, lit, exits, seed, blocks=blocks, groups=groups, threads=threads)
@@ -104,7 +104,7 @@ class ModuleTwin:
             )
             for n in (box.columns, box.rows)
         )
-        at_x, at_y = ((np.arange(n) + 0.5 - n / 2.0) * box.step_um for n in (box.columns, box.rows))
+        at_x, at_y = (np.asarray((np.arange(n) + 0.5 - n / 2.0) * box.step_um) for n in (box.columns, box.rows))
         values = self.of_groups(at_x, at_y)
         coefficients = y.functions(at_y).T @ values @ x.functions(at_x) / (box.rows * box.columns)
         histories = self.chip.histories
@@ -116,7 +116,8 @@ class ModuleTwin:
 
     def _laid(self, chip: Real, x_um: Real, y_um: Real) -> Real:
         """Direct light (y, x) of all chips, from the coefficients of one; chips of one y are taken together."""
-        functions, rows = self.chip.x.functions, defaultdict(lambda: np.zeros((x_um.size, chip.shape[1])))
+        functions = self.chip.x.functions
+        rows: dict[float, Real] = defaultdict(lambda: np.zeros((x_um.size, chip.shape[1])))
         of_column: dict[float, Real] = {}
         for (cx, cy), power in zip(
             self.layout.centres_um.reshape(-1, 2).tolist(), self.layout.power.ravel(), strict=True
@@ -141,7 +142,7 @@ class ModuleTwin:
 
 @dataclass(frozen=True)
 class ChipMap:
-    """Irradiance (1/um^2 per emitted flux) of one chip as a series, coefficients (group, layer, y, x), and its axes."""
+    """Irradiance (1/um^2 per emitted flux) of one chip: coefficients (group, layer, y, x) and axes of a series."""
 
     coefficients: Real
     x: Axis
@@ -149,10 +150,8 @@ class ChipMap:
     histories: int
 
 
-def surroundings(scene: Scene) -> tuple[Scene, Box]:
-    """A chip at (0, 0) with as many others around it as any chip of the array sees, no edge in reach; bins around it."""
-    layout = scene.layout
-    assert isinstance(layout, Array)
+def surroundings(scene: Scene, layout: Array) -> tuple[Scene, Box]:
+    """A chip at (0, 0) with as many others around it as any chip of the array sees, and bins around it; no edge."""
     reach = max(layout.half_x_um, layout.half_y_um) + float(np.abs(layout.centres_um).max()) + PAD * scene.distance_um
     around = Array.regular(
         2 * layout.rows - 1, 2 * layout.columns - 1, layout.spacing_um, reach + 4.0 * scene.distance_um

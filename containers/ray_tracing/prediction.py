@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections import OrderedDict, defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +33,7 @@ Real = NDArray[np.float64]
 EFFECTIVE, INEXACT = 0.9, 0.05
 """Share of exits that must stay effective, and of light whose weight may be inexact, where exits are reweighted."""
 RECENT = 32
-Grid = Callable[[Real, Real], Real]
+Grid = Callable[[Any, Any], Any]
 """From x (x,) and y (y,) to values (..., y, x) in 1/mm^2."""
 
 
@@ -84,7 +85,7 @@ class Prediction:
     images_per_mm2: Real
     """(shot, row, column)"""
     noise_per_mm2: Real
-    """(group, shot, row, column): the covariance of two pixels of any shots is the sum over groups of their products."""
+    """(group, shot, row, column): the covariance of two pixels is the sum over groups of their products."""
 
     @property
     def error_per_mm2(self) -> Real:
@@ -141,7 +142,7 @@ def jacobian(shots: Sequence[Shot], columns: Sequence[Column], supply: Supply, *
     """
     found = []
     for column in columns:
-        derivative = 0.0
+        derivative: Real = np.zeros(1)
         for amount, weight in column.stencil(shots[0].scene):
             moved = [Shot(column.move(shot.scene, amount), shot.camera) for shot in shots]
             derivative = derivative + weight * twin_images(moved, supply, **options)
@@ -155,7 +156,7 @@ def image_of(grid: Grid, shot: Shot) -> Real:
 
 
 def light_map(grid: Grid, shot: Shot) -> LightMap:
-    """A map as far as the camera sees, its PSF included (with glare: all of it), at samples an eighth of the height apart."""
+    """A map as far as the camera sees, PSF included (with glare: all of it), with eight samples per height."""
     layout, camera, distance = shot.scene.layout, shot.camera, shot.scene.distance_um
     if not isinstance(layout, Array):
         raise InputError("layout", type(layout).__name__, "a finite array", "a cell's map is its field's")

@@ -1,9 +1,9 @@
 """Stored exits of one chip made to stand for those of a slightly other one: a factor on each exit's weight.
 
-Whether a ray is reflected at the chip's bottom or top is drawn as often as it happens, so what another chip would have
-done more or less often is a ratio of probabilities; absorption dims a ray along its path, so it is a ratio of weights:
+Whether a ray is reflected at the chip's bottom or top is drawn as often as it happens, so what another chip would
+have done more or less often is a ratio of probabilities; absorption dims a ray along its path, a ratio of weights:
 
-    (rho' / rho)^bottom hits   x   exp(-(a' - a) path)   x   prod R'(u_i) / R(u_i)   x   T'(u) / T(u) where it left by the top
+    (rho' / rho)^bottom hits  x  exp(-(a' - a) path)  x  prod R'(u_i) / R(u_i)  x  T'(u) / T(u) if it left by the top
 
 Over reflections at the top inside the escape cone; of them the walk notes the number and the first four cosines.
 Nothing is lost or made on average, at any change; but the larger the change, the fewer exits carry the light.
@@ -36,7 +36,7 @@ class Reweighted:
 
     exits: Exits
     inexact_share: float
-    """Share of the light whose weight is not exact: rays with more than four reflections at a top that has changed."""
+    """Share of the light whose weight is not exact: rays with over four reflections at a changed top."""
     effective_share: float
     """Effective number of exits over their number, (sum w)^2 / sum w^2 after over before: 1 for no change."""
 
@@ -50,8 +50,8 @@ def reweighted(exits: Exits, stored: Scene, wanted: Scene) -> Reweighted:
 
     Raises
     ------
-    InputError : exits without notes; chips that differ in more than the bottom's reflectance, the absorption and the top
-        face, or do so in a way that was not noted (an air gap with another substrate, light where there was none).
+    InputError : exits without notes; chips that differ in more than the bottom's reflectance, the absorption and the
+        top face, or do so in a way that was not noted (the substrate below an air gap, light where there was none).
 
     Notes
     -----
@@ -136,7 +136,7 @@ def _top_factor(exits: Exits, stored: Scene, wanted: Scene) -> Real:
         hits = exits.notes[own, TOP_HITS]
         noted = np.arange(NOTED) < hits[:, None]
         rays, places = np.nonzero(noted)
-        ratio = _ratio(before, after, exits.notes[own][rays, TOP_COSINES + places], "mirror")
+        ratio = _ratio(before, after, exits.notes[own][rays, TOP_COSINES + places].astype(float), "mirror")
         log = np.bincount(rays, np.log(np.maximum(ratio, 1e-300)), minlength=own.size)
         factor[own] *= np.exp(log * np.maximum(1.0, hits / NOTED))
         through = own[exits.rays[own, Z] >= np.float32(stored.chip.thickness_um)]

@@ -2,7 +2,8 @@
 
 Measured with a few frozen rays: Lambert light starts all over the cell at the receiver and is followed until it is
 back there, once with the chips and once, with the same random numbers, without. A ray that meets no chip counts
-nothing, so half of them are aimed at the surroundings of the chip, with less weight. They give the correction dT of the round trip of `closure` between the lowest waves of the cell,
+nothing, so half of them are aimed at the surroundings of the chip, with less weight. They give the correction dT of
+the round trip of `closure` between the lowest waves of the cell,
 
     dT_ab = mean over rays of  w f_a(place with chips) f_b(start) - w' f_a(place without) f_b(start).
 """
@@ -34,7 +35,8 @@ from containers.ray_tracing.arrays import (
     Y,
     Z,
 )
-from containers.ray_tracing.direct import Way, WayArrays, in_parallel, nowhere, reaches_receiver
+from containers.ray_tracing.direct import Way, in_parallel, nowhere
+from containers.ray_tracing.direct_kernel import WayArrays, reaches_receiver
 from containers.ray_tracing.field import Axis
 from containers.ray_tracing.kernel import Scratch, scratch
 from containers.ray_tracing.philox import CHIP, EMISSION, draw, start
@@ -116,7 +118,7 @@ def _functions(x: Axis, y: Axis, places: Real) -> Real:
 def there_and_back(
     way: WayArrays, emission: EmissionArrays, seed: np.uint64, first: int, found: Real, sinks: Sinks, scratch: Scratch
 ) -> None:
-    """Rays number `first` and on: start (x, y), end (x, y, weight) without chips, end with chips, into `found` (n, 8).
+    """Rays number `first` and on into `found` (n, 8): start (x, y), end (x, y, weight) without chips, and with them.
 
     `sinks` stay empty but for the ledger.
     """

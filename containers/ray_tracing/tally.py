@@ -144,8 +144,6 @@ class Tally:
         return np.concatenate([half[:, :, ::-1], half], axis=2)
 
 
-
-
 def _whole(columns: float, rows: float) -> int:
     """The least whole number from `columns` on for which `rows` grows, in proportion, to a whole number too.
 

@@ -2,8 +2,8 @@
 
     stored exits --landed once, frozen numbers--> direct light --round trips reckoned--> all light
 
-Direct light is traced (`direct`), so that neighbours, substrate and re-entry of direct light are what they are; what the
-receiver sends back is reckoned (`closure`), with what the chips do to it measured by a few frozen rays (`shadow`).
+Direct light is traced (`direct`), so that neighbours, substrate and re-entry of direct light are what they are; what
+the receiver sends back is reckoned (`closure`), and what chips do to that is measured by a few frozen rays (`shadow`).
 The exits' own sampling error passes through: groups stay groups, and the fields carry their spread as any others.
 """
 
@@ -52,7 +52,7 @@ def cell_field(
 
     Notes
     -----
-    (1 - rho_r (T + dT)) E = E0 + ..., T diagonal in the waves of the cell and dT between its lowest; the higher ones
+    (1 - rho_r (T + dT)) E = E0, T diagonal in the waves of the cell and dT between its lowest; the higher ones
     lose to the chips what the mean does. What is recorded differs from what arrives by response and plate.
     """
     if not isinstance(scene.layout, Cell):
@@ -83,7 +83,7 @@ def cell_field(
 
 
 def cloud_window(axis: Axis, step_um: float) -> Real:
-    """What sharing arrivals among neighbouring bins takes off each function of an axis, besides the bins' own window."""
+    """What sharing arrivals among neighbouring bins takes off each function of an axis, beside the bins' window."""
     return np.asarray(np.sinc(axis.wavenumber_per_um * step_um / (2.0 * np.pi)))
 
 
@@ -98,17 +98,15 @@ def _all_light(direct: Real, kept: float, T: Real, dT: Real | None, field: CellF
     if dT is None:
         return np.asarray(direct / (1.0 - kept * T))
     total = direct / (1.0 - kept * T * (1.0 + dT[0, 0] / max(T[0, 0], 1e-12)))
-    low = np.ix_(*(_low(axis, dT) for axis in (field.y, field.x)))
-    matrix = np.eye(dT.shape[0]) - kept * (np.diag(T[low].ravel()) + dT)
-    block = direct[:, *low]
-    total[:, *low] = np.linalg.solve(matrix, block.reshape(len(direct), -1).T).T.reshape(block.shape)
+    row, column = np.ix_(_low(field.y, dT), _low(field.x, dT))
+    matrix = np.eye(dT.shape[0]) - kept * (np.diag(T[row, column].ravel()) + dT)
+    block = direct[:, row, column]
+    total[:, row, column] = np.linalg.solve(matrix, block.reshape(len(direct), -1).T).T.reshape(block.shape)
     return np.asarray(total)
 
 
 def _low(axis: Axis, dT: Real) -> NDArray[np.intp]:
     """Numbers of those functions of an axis that a correction is about."""
     count = round(len(dT) ** 0.5)
-    return np.flatnonzero(
-        axis.wavenumber_per_um
-        < axis.wavenumber_per_um[1] * ((count + 1) // 2 if axis.kind == "periodic" else count) * 0.999
-    )
+    modes = count // 2 if axis.kind == "periodic" else count - 1
+    return np.flatnonzero(axis.wavenumber_per_um < axis.wavenumber_per_um[1] * (modes + 0.5))

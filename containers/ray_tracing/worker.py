@@ -8,8 +8,8 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from containers.known_effects import refuse_unknown
-from containers.ray_tracing.monte_carlo import usable_threads
 from containers.ray_tracing.exit_source import ExitSource
+from containers.ray_tracing.monte_carlo import usable_threads
 from containers.ray_tracing.simulation import simulate
 from containers.stack import dbr_of
 from containers.thin_film.packing import unpack

@@ -97,7 +97,9 @@ def test_nothing_is_recorded_twice_below_a_tilted_receiver() -> None:
     arrived = tally.arrivals.sum() / tally.total_histories
     columns, _ = places(tally)
     sure = np.abs(columns) < 200.0 - tally.box.step_um
-    inside = tally.cell_bins().sum(axis=0)[np.ix_(np.abs(places(tally)[1]) < 200.0, sure)].sum() / tally.total_histories
+    inside = (
+        tally.cell_bins().sum(axis=0)[np.ix_(np.abs(places(tally)[1]) < 200.0, sure)].sum() / tally.total_histories
+    )
     assert inside <= arrived + 1e-12
 
 

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from containers.ray_tracing import worker as worker_module
-from containers.ray_tracing.monte_carlo import BLOCK, usable_threads
 from containers.ray_tracing.exit_source import ExitSource
+from containers.ray_tracing.monte_carlo import BLOCK, usable_threads
 from containers.ray_tracing.simulation import simulate
 from containers.ray_tracing.worker import RayComputation, wanted_threads
 from containers.stack import dbr_of

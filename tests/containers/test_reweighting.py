@@ -31,7 +31,7 @@ def top(R: float) -> Face:
 
 
 def leaving(exits: Exits) -> Real:
-    """(group, kind): light that leaves a chip per history: all, upwards, steeply upwards, straight through the top."""
+    """(group, kind): light that leaves per history: all, upwards, steeply upwards, straight through the top."""
     weight = exits.rays[:, WEIGHT_OF_EXIT] * (1.0 if exits.weights is None else exits.weights)
     up = exits.rays[:, 5]
     kinds = [weight, weight * (up > 0.0), weight * (up > 0.7), weight * (exits.rays[:, EVENT_OF_EXIT] == THROUGH_TOP)]
@@ -58,7 +58,7 @@ def stored() -> tuple[Scene, Exits]:
 
 @pytest.mark.parametrize("change", CHANGES)
 def test_reweighted_exits_carry_the_light_of_the_other_chip(stored: tuple[Scene, Exits], change: str) -> None:
-    """Light that leaves, by direction, agrees with a full walk in the changed chip, and differs from the stored one."""
+    """Light that leaves, by direction, is that of a full walk in the changed chip, and not the stored one's."""
     own, exits = stored
     other = CHANGES[change](own)
     full, got = leaving(make_exits(other, 4, 4 * BLOCK)), leaving(reweighted(exits, own, other).exits)

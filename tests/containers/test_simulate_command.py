@@ -14,8 +14,8 @@ import pytest
 
 from containers import simulate_command
 from containers.asking import watched
-from containers.ray_tracing.exports import read_ies, read_tm25
 from containers.ray_tracing.exit_source import ExitSource
+from containers.ray_tracing.exports import read_ies, read_tm25
 from containers.ray_tracing.worker import RayComputation
 from containers.simulate_command import PRESETS, array_of, design_of, named_by_option
 from containers.simulate_text import as_text

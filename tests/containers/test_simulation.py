@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from containers.ray_tracing.estimate import student_t
-from containers.ray_tracing.monte_carlo import BLOCK
 from containers.ray_tracing.exit_source import ExitSource
+from containers.ray_tracing.monte_carlo import BLOCK
 from containers.ray_tracing.simulation import simulate
 from containers.ray_tracing.stopping import FIRST_BLOCKS, Target, next_blocks, run_to_error
 from containers.ray_tracing.tally import Tally

@@ -1,0 +1,184 @@
+"""Direct light as kernels: exits followed to the receiver, their arrivals shared among the bins around them."""
+
+from __future__ import annotations
+
+from math import floor, sqrt
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from containers.compiled import borrowing_kernel, inlined_kernel
+from containers.ray_tracing.arrays import (
+    CHIP_X,
+    CHIP_Y,
+    DISTANCE,
+    DX,
+    DY,
+    DZ,
+    EVENT,
+    PERIODIC,
+    RECEIVER,
+    RECEIVER_END,
+    RESPONSE,
+    RESPONSE_AT,
+    SPACING,
+    WEIGHT,
+    EmissionArrays,
+    SceneArrays,
+    Sinks,
+    X,
+    Y,
+    Z,
+)
+from containers.ray_tracing.chip import OUT, walk_chip
+from containers.ray_tracing.kernel import EVENT_OF_EXIT, WAVE_OF_EXIT, WEIGHT_OF_EXIT, Scratch, leave_chip
+from containers.ray_tracing.module import INTO_CHIP, clear_way, walk_module
+from containers.ray_tracing.philox import CHIP, SUBSTRATE, Stream, draw, follow_up, start
+from containers.ray_tracing.philox import RECEIVER as RECEIVER_KIND
+from containers.ray_tracing.surfaces import REFLECTED, albedo, scatter
+
+Real = NDArray[np.float64]
+Single = NDArray[np.float32]
+
+FAINTEST = 1e-6
+"""Share of a ray's weight below which the reflections that are followed at the receiver end."""
+
+
+class WayArrays(NamedTuple):
+    """A scene for direct light, as kernels read it."""
+
+    scene: SceneArrays
+    """With a black receiver and a substrate that takes nothing."""
+    receiver: SceneArrays
+    """With what of the receiver is followed."""
+    kept: float
+    """What the substrate keeps at each bounce."""
+    box: Real
+    """As `Sinks.box`."""
+
+
+@borrowing_kernel
+def land_direct(
+    way: WayArrays,
+    emission: EmissionArrays,
+    seed: np.uint64,
+    group: int,
+    groups: int,
+    first: int,
+    rays: Single,
+    weights: Single,
+    sinks: Sinks,
+    scratch: Scratch,
+    bins: Real,
+) -> None:
+    """Follow exits, number `first` and on of a group, into `bins` (layer, y, x)."""
+    stream, ray, trace, _, _ = scratch
+    scene = way.scene
+    for number in range(rays.shape[0]):
+        start(stream, seed, np.uint64(first + number) * np.uint64(groups) + np.uint64(group))
+        for i in range(EVENT_OF_EXIT):
+            ray[i] = rays[number, i]
+        ray[EVENT] = rays[number, EVENT_OF_EXIT]
+        length = 1.0 / sqrt(ray[DX] * ray[DX] + ray[DY] * ray[DY] + ray[DZ] * ray[DZ])
+        ray[DX], ray[DY], ray[DZ] = ray[DX] * length, ray[DY] * length, ray[DZ] * length
+        chip = 0
+        if emission.chip_cumulative.size > 1:
+            u, _, _, _ = draw(stream, CHIP, 0)
+            while chip < emission.chip_cumulative.size - 1 and u >= emission.chip_cumulative[chip]:
+                chip += 1
+        ray[CHIP_X], ray[CHIP_Y] = emission.centres_um[chip, 0], emission.centres_um[chip, 1]
+        ray[WEIGHT] = rays[number, WEIGHT_OF_EXIT] * (weights[number] if weights.size > 0 else 1.0)
+        wave, path = int(rays[number, WAVE_OF_EXIT]), clear_way(scene, ray)
+        ray[X] += ray[CHIP_X] + path * ray[DX]
+        ray[Y] += ray[CHIP_Y] + path * ray[DY]
+        faintest = FAINTEST * ray[WEIGHT]
+        if path > 0.0:
+            ray[Z] = scene.numbers[DISTANCE]
+        landed = path > 0.0 or reaches_receiver(scene, wave, ray, stream, sinks, trace)
+        while landed:
+            _arrive(way, ray, stream, bins)
+            landed = _sent_on(way, wave, ray, stream, faintest) and reaches_receiver(
+                scene, wave, ray, stream, sinks, trace
+            )
+
+
+@borrowing_kernel
+def reaches_receiver(scene: SceneArrays, wave: int, ray: Real, stream: Stream, sinks: Sinks, trace: Real) -> bool:
+    """Follow a ray outside the chips to the (black) receiver; False where it ends elsewhere."""
+    while True:
+        sinks.ledger[RECEIVER_END] = 0.0
+        if walk_module(scene, wave, ray, stream, sinks, 0.0) != INTO_CHIP:
+            return bool(sinks.ledger[RECEIVER_END] > 0.0)
+        if walk_chip(scene, wave, ray, stream, sinks.ledger, trace) != OUT:
+            return False
+        leave_chip(ray, sinks)
+
+
+@inlined_kernel
+def _arrive(way: WayArrays, ray: Real, stream: Stream, bins: Real) -> None:
+    """Put a ray that is at the receiver into the bins."""
+    scene, x, y = way.scene, ray[X], ray[Y]
+    if scene.flags[PERIODIC]:
+        x -= scene.numbers[SPACING] * floor(x / scene.numbers[SPACING] + 0.5)
+        y -= scene.numbers[SPACING] * floor(y / scene.numbers[SPACING] + 0.5)
+    weight = ray[WEIGHT] * way.kept ** float(stream[2 + SUBSTRATE])
+    _deposit(bins, 0, way.box, x, y, weight)
+    if bins.shape[0] > 1:
+        steps, tables = scene.flags[RESPONSE] - 1, scene.surfaces.tables
+        node = min(int(ray[DZ] * steps), steps - 1)
+        at = scene.flags[RESPONSE_AT] + node
+        seen = tables[at] + (ray[DZ] * steps - node) * (tables[at + 1] - tables[at])
+        _deposit(bins, 1, way.box, x, y, weight * (seen - 1.0))
+
+
+@inlined_kernel
+def _sent_on(way: WayArrays, wave: int, ray: Real, stream: Stream, faintest: float) -> bool:
+    """Send a ray back by that part of the receiver which is followed; False where nothing is."""
+    surfaces = way.receiver.surfaces
+    kept = albedo(surfaces, RECEIVER, wave, ray[DZ])
+    ray[WEIGHT] *= kept
+    if ray[WEIGHT] <= faintest:
+        return False
+    fate, dx, dy, dz = scatter(
+        surfaces, RECEIVER, wave, 1.0, 1.0, ray[DX], ray[DY], -ray[DZ], stream, RECEIVER_KIND, kept
+    )
+    follow_up(stream, RECEIVER_KIND)
+    ray[DX], ray[DY], ray[DZ] = dx, dy, -dz
+    return fate == REFLECTED
+
+
+@inlined_kernel
+def _deposit(bins: Real, layer: int, box: Real, x: float, y: float, weight: float) -> None:
+    """Share a weight among the four bins around a place."""
+    folded, cell = box[3] > 0.0, box[4] > 0.0
+    if folded:
+        x, y = abs(x), abs(y)
+    across, along = (x - box[0]) * box[2] - 0.5, (y - box[1]) * box[2] - 0.5
+    column, row = floor(across), floor(along)
+    right, up = across - column, along - row
+    _, rows, columns = bins.shape
+    left_at, right_at = _place(column, columns, folded, cell), _place(column + 1, columns, folded, cell)
+    low_at, up_at = _place(row, rows, folded, cell), _place(row + 1, rows, folded, cell)
+    if low_at >= 0:
+        if left_at >= 0:
+            bins[layer, low_at, left_at] += weight * (1.0 - right) * (1.0 - up)
+        if right_at >= 0:
+            bins[layer, low_at, right_at] += weight * right * (1.0 - up)
+    if up_at >= 0:
+        if left_at >= 0:
+            bins[layer, up_at, left_at] += weight * (1.0 - right) * up
+        if right_at >= 0:
+            bins[layer, up_at, right_at] += weight * right * up
+
+
+@inlined_kernel
+def _place(index: int, size: int, folded: bool, cell: bool) -> int:
+    """The bin that stands for one at either end's other side: its mirror image, the other end of a cell, or none."""
+    if 0 <= index < size:
+        return index
+    if index < 0:
+        return -1 - index if folded else index + size if cell else -1
+    if not cell or index >= 2 * size:
+        return -1
+    return 2 * size - 1 - index if folded else index - size

@@ -1,0 +1,79 @@
+"""Anchored predictions, their noise, and the columns of their Jacobian."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from containers.bsdf import GaussianLobe
+from containers.ray_tracing.columns import COLUMNS, film_column
+from containers.ray_tracing.exits import Exits, make_exits
+from containers.ray_tracing.module_twin import ModuleTwin
+from containers.ray_tracing.monte_carlo import BLOCK
+from containers.ray_tracing.prediction import Anchor, Shot, Supply, jacobian, twin_images
+from containers.scene import Array, Scene
+from luxloop.camera import Camera
+from tests.ray_scenes import scene, taking
+
+SIGMA = np.radians(5.0)
+
+
+@pytest.fixture(scope="module")
+def dim() -> tuple[Scene, Exits]:
+    """A chip that absorbs, with notes, so that walks are short."""
+    case = scene({"absorption_per_um": 2e-2})
+    return case, make_exits(case, 1, 4 * BLOCK, notes=True)
+
+
+def shots(case: Scene) -> list[Shot]:
+    """One chip and nine, seen by a small camera."""
+    camera = Camera(rows=16, columns=16, pixel_um=40.0)
+    return [
+        Shot(replace(case, layout=Array.regular(n, n, 500.0, half)), camera) for n, half in ((1, 500.0), (3, None))
+    ]
+
+
+def test_a_prediction_at_the_anchor_is_monte_carlo_itself(dim: tuple[Scene, Exits]) -> None:
+    """There the twin cancels; the covariance is that of the mean of the groups."""
+    case, exits = dim
+    supply = Supply(lambda _: exits)
+    of = shots(case)
+    fields = [ModuleTwin(shot.scene, exits, groups=8, seed=7).field() for shot in of]
+    anchor = Anchor(of, fields, supply, blocks=1, shadow_rays=2048)
+    found = anchor.predict(of)
+    other = Anchor(of, fields, supply, blocks=2, shadow_rays=1024).predict(of)
+    np.testing.assert_allclose(found.images_per_mm2, other.images_per_mm2, rtol=1e-9)
+    assert found.noise_per_mm2.shape == (8, 2, 16, 16)
+    assert np.all(found.error_per_mm2 > 0.0)
+    assert np.all(found.error_per_mm2 < 0.2 * found.images_per_mm2.max())
+
+
+def test_jacobian_columns_predict_small_changes(dim: tuple[Scene, Exits]) -> None:
+    """Where no walk moves: the image at half a step is the image plus half the column; distances with more noise."""
+    case, _ = dim
+    supply = Supply(lambda s: make_exits(s, 5, BLOCK, notes=True))
+    columns = [*COLUMNS.values(), film_column(lambda _: taking(0.3, 0.7))]
+    of, options = shots(case), {"blocks": 1, "shadow_rays": 1024}
+    found = jacobian(of, columns, supply, **options)
+    assert found.shape == (len(columns), 2, 16, 16)
+    base = twin_images(of, supply, **options)
+    for number, column in enumerate(columns):
+        if column.name in ("width_um", "thickness_um", "substrate_sigma_rad"):
+            continue  # other walks inside other chips: their noise is larger than this bound
+        h = column.step(column.value(case)) / 2.0
+        moved = twin_images([Shot(column.move(shot.scene, h), shot.camera) for shot in of], supply, **options)
+        expected = h * found[number]
+        bound = 0.4 if column.name in ("distance_um", "spacing_um") else 0.1
+        assert np.sqrt(np.mean((moved - base - expected) ** 2)) < bound * np.sqrt(np.mean(expected**2)), column.name
+
+
+def test_one_sided_steps_stay_within_their_range() -> None:
+    """A clear chip is not made to amplify, a substrate not to create light; derivatives of a parabola stay exact."""
+    clear, white = scene(), scene(substrate=GaussianLobe(0.995, SIGMA))
+    for column, case in ((COLUMNS["absorption_per_um"], clear), (COLUMNS["substrate_reflectance"], white)):
+        stencil = column.stencil(case)
+        assert all(column.low <= column.value(case) + a <= column.high for a, _ in stencil)
+        assert sum(w for _, w in stencil) == pytest.approx(0.0, abs=1e-6 * abs(stencil[0][1]))
+        assert sum(w * (3.0 * a + a * a) for a, w in stencil) == pytest.approx(3.0)
