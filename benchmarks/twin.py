@@ -24,6 +24,7 @@ from containers.ray_tracing.field import CellField, ModuleField
 from containers.ray_tracing.module_twin import ModuleTwin
 from containers.ray_tracing.monte_carlo import BLOCK
 from containers.ray_tracing.prediction import Shot, Supply, jacobian, twin_images
+from containers.ray_tracing.tally import Tally
 from containers.ray_tracing.twin import cell_field
 from containers.ray_tracing.uniformity import cell_region, uniformity
 from containers.scene import Array, Emission, Receiver, Scene
@@ -52,56 +53,33 @@ def scene_at(environment: Environment, design: Design) -> Scene:
     return scene_of(environment, design, film, cell_of(environment, design))
 
 
-def cell_of_tally(scene: Scene, bins: Real, histories: int) -> CellField:
-    """Monte Carlo's field."""
-    return CellField.from_bins(bins, histories, scene.layout.spacing_um, scene.height_um, folded=True)
+def compared(scene: Scene, exits: tuple[Exits, Exits], seeds: int) -> str:
+    """A row: U and map of the twin less those of Monte Carlo, each with exits of its own landed with several seeds.
 
-
-def compared(scene: Scene, twin_blocks: int, mc_blocks: int, landings: int = 1) -> str:
-    """A row: U and map of the twin less those of Monte Carlo, which lands exits of its own several times."""
-    exits = make_exits(scene, 11, twin_blocks * BLOCK)
-    start = perf_counter()
-    field = cell_field(scene, exits)
-    twin_s = perf_counter() - start
-    others, runs = make_exits(scene, 12, mc_blocks * BLOCK), []
-    for seed in range(landings):
-        tally = Landing(scene, others, seed, survival=1.0).run_to(mc_blocks * BLOCK)
-        runs.append(tally.cell_bins())
-    long = cell_of_tally(scene, np.mean(runs, axis=0), tally.histories)
-    region = cell_region(scene.layout.spacing_um)
-    twin_u, mc_u = uniformity(field, region), uniformity(long, region)
-    own, other = field.map(64), long.map(64)
-    mean = other.mean()
-    rms = 100.0 * np.sqrt(np.mean((own.mean(axis=0) - other.mean(axis=0)) ** 2)) / mean
-    noise = 100.0 * np.sqrt(np.mean(own.var(axis=0, ddof=1) + other.var(axis=0, ddof=1)) / len(own)) / mean
-    sd = 100.0 * np.hypot(twin_u.standard_error, mc_u.standard_error)
-    change = 100.0 * (twin_u.value - mc_u.value)
-    return (
-        f"{100 * mc_u.value:7.2f} {change:+6.2f} {sd:5.2f}   {rms:6.2f} {noise:6.2f}   "
-        f"{100 * (field.mean / long.mean - 1):+7.3f}   {twin_s:5.2f} s"
-    )
-
-
-def compared_alone(scene: Scene, blocks: int, seeds: int) -> str:
-    """The same of what happens after the chip: equal exits in both, each landed with several seeds."""
-    exits, region = make_exits(scene, 11, blocks * BLOCK), cell_region(scene.layout.spacing_um)
-    twins, longs = [], []
+    Where the two have the same exits, the noise is that of the seeds, else that of the exits' groups.
+    """
+    region, found = cell_region(scene.layout.spacing_um), ([], [])
     for seed in range(seeds):
-        tally = Landing(scene, exits, seed, survival=1.0).run_to(blocks * BLOCK)
-        longs.append(cell_of_tally(scene, tally.cell_bins(), tally.histories).coefficients.mean(axis=0))
+        tally = Landing(scene, exits[1], seed, survival=1.0).run_to(exits[1].histories)
+        bins, S = tally.cell_bins(), scene.layout.spacing_um
+        long = CellField.from_bins(bins, tally.histories, S, scene.height_um, folded=True)
         start = perf_counter()
-        field = cell_field(scene, exits, seed=1000 + seed)
+        field = cell_field(scene, exits[0], seed=1000 + seed)
         twin_s = perf_counter() - start
-        twins.append(field.coefficients.mean(axis=0))
-    own, other = (replace(field, coefficients=np.array(found)) for found in (twins, longs))
-    u = [uniformity(one, region) for one in (own, other)]
-    maps, mean = [one.map(64) for one in (own, other)], other.mean
+        for kept, one in zip(found, (field, long), strict=True):
+            kept.append(one.coefficients)
+    axis = 1 if exits[0] is exits[1] else 0
+    own, other = (replace(field, coefficients=np.mean(kept, axis=axis)) for kept in found)
+    u, maps, mean = (
+        [uniformity(one, region) for one in (own, other)],
+        [one.map(64) for one in (own, other)],
+        other.mean,
+    )
     rms = 100.0 * np.sqrt(np.mean((maps[0].mean(axis=0) - maps[1].mean(axis=0)) ** 2)) / mean
-    noise = 100.0 * np.sqrt(np.mean(sum(one.var(axis=0, ddof=1) for one in maps)) / seeds) / mean
-    sd = 100.0 * np.hypot(u[0].standard_error, u[1].standard_error)
-    change = 100.0 * (u[0].value - u[1].value)
+    noise = 100.0 * np.sqrt(np.mean(sum(one.var(axis=0, ddof=1) / len(one) for one in maps))) / mean
+    sd, change = np.hypot(u[0].standard_error, u[1].standard_error), u[0].value - u[1].value
     return (
-        f"{100 * u[1].value:7.2f} {change:+6.2f} {sd:5.2f}   {rms:6.2f} {noise:6.2f}   "
+        f"{100 * u[1].value:7.2f} {100 * change:+6.2f} {100 * sd:5.2f}   {rms:6.2f} {noise:6.2f}   "
         f"{100 * (own.mean / mean - 1):+7.3f}   {twin_s:5.2f} s"
     )
 
@@ -111,20 +89,17 @@ HEAD = "     U %   twin-MC   sd   map rms %  of it noise  mean %    twin"
 
 def designs() -> None:
     """The four designs of the paper under both models."""
-    print("four designs, twin 8.4 M histories, Monte Carlo 8.4 M landed twice\n" + " " * 22 + HEAD)
+    print("four designs, 8.4 M histories of exits, others in both, landed twice\n" + " " * 22 + HEAD)
     for model in MODELS:
         for name, numbers in DESIGNS.items():
             scene = scene_at(find_model(model).environment, Design.from_vector(numbers))
-            print(f"{model:10s} {name:11s}", compared(scene, 256, 256, 2), flush=True)
+            exits = make_exits(scene, 11, 256 * BLOCK), make_exits(scene, 12, 256 * BLOCK)
+            print(f"{model:10s} {name:11s}", compared(scene, exits, 2), flush=True)
 
 
 def random_designs(count: int = 50) -> None:
     """Random designs of the paper's grid, the models in turn."""
-    print(
-        f"{count} random designs of the paper's grid, 1 M exits the same in both, each landed 6 times\n"
-        + " " * 56
-        + HEAD
-    )
+    print(f"{count} random designs of the grid, equal exits of 1 M histories, landed 6 times\n" + " " * 55 + HEAD)
     rng, done = np.random.default_rng(5), 0
     grid = list(Bounds.preset("paper-grid").grid())
     while done < count:
@@ -133,8 +108,9 @@ def random_designs(count: int = 50) -> None:
             continue
         model = MODELS[done % 2]
         done += 1
-        row = compared_alone(scene_at(find_model(model).environment, design), 32, 6)
-        print(f"{model:10s} {design!s:44s}", row, flush=True)
+        scene = scene_at(find_model(model).environment, design)
+        exits = make_exits(scene, 11, 32 * BLOCK)
+        print(f"{model:10s} {design!s:44s}", compared(scene, (exits, exits), 6), flush=True)
 
 
 def module() -> None:
@@ -148,27 +124,24 @@ def module() -> None:
             at = np.linspace(-scene.layout.half_x_um, scene.layout.half_x_um, 66)[1:-1]
             for seed in range(12):
                 tally = Landing(scene, exits, seed, survival=1.0).run_to(16 * BLOCK)
-                maps.append(
-                    eight_images(module_of_tally(tally.bins, tally.histories, tally.box, scene).grid(at, at)[0])
-                )
+                maps.append(eight_images(module_of_tally(tally, scene).grid(at, at)[0]))
             twin = np.mean(
                 [eight_images(ModuleTwin(scene, exits, seed=seed).mean(at, at)) for seed in range(12)], axis=0
             )
             long = np.mean(maps, axis=0)
             noise = np.sqrt(np.mean(np.var(maps, axis=0, ddof=1)) / 12) / long.mean()
             rms = np.sqrt(np.mean((twin - long) ** 2)) / long.mean()
-            print(
-                f"{model:10s} {count} x {count}: mean {100 * (twin.mean() / long.mean() - 1):+.3f}, rms {100 * rms:.2f}, noise {100 * noise:.2f}"
-            )
+            change = twin.mean() / long.mean() - 1.0
+            row = f"mean {100 * change:+.3f}, rms {100 * rms:.2f}, noise of Monte Carlo {100 * noise:.2f}"
+            print(f"{model:10s} {count} x {count}: {row}", flush=True)
 
 
-def module_of_tally(bins: Real, histories: int, box: object, scene: Scene) -> ModuleField:
+def module_of_tally(tally: Tally, scene: Scene) -> ModuleField:
     """Monte Carlo's field of a finite module, all groups together twice."""
-    chips = scene.layout.power.size
-    x0, y0, step, rows, columns = box.x0_um, box.y0_um, box.step_um, box.rows, box.columns
-    whole = bins.sum(axis=(0, 1))
-    area = x0, x0 + columns * step, y0, y0 + rows * step
-    return ModuleField.from_bins(np.stack([whole] * 2), histories * len(bins) // chips, area, scene.height_um)
+    box, whole = tally.box, tally.bins.sum(axis=(0, 1))
+    x1, y1 = box.x0_um + box.columns * box.step_um, box.y0_um + box.rows * box.step_um
+    histories = tally.total_histories // scene.layout.power.size
+    return ModuleField.from_bins(np.stack([whole] * 2), histories, (box.x0_um, x1, box.y0_um, y1), scene.height_um)
 
 
 def eight_images(image: Real) -> Real:
@@ -192,7 +165,7 @@ def derivatives(names: tuple[str, ...] = tuple(COLUMNS)) -> None:
     for model in MODELS:
         scene = scene_at(find_model(model).environment, Design.from_vector(DESIGNS["S_b3, 6.5"]))
         print(
-            f"{model}, S_b3 6.5 pairs: change of modes (0,0) (1,0) (1,1) over two steps, 1e-5, twin | Monte Carlo | error"
+            f"{model}, S_b3 6.5: change of modes (0,0) (1,0) (1,1) over two steps, 1e-5; twin | Monte Carlo | error"
         )
         supply = Supply(walks)
         for name in names:
@@ -203,7 +176,8 @@ def derivatives(names: tuple[str, ...] = tuple(COLUMNS)) -> None:
             long = []
             for s in ends:
                 tally = Landing(s, make_exits(s, 21, 64 * BLOCK), 5, survival=1.0).run_to(64 * BLOCK)
-                long.append(cell_of_tally(s, tally.cell_bins(), tally.histories).coefficients)
+                bins, S = tally.cell_bins(), s.layout.spacing_um
+                long.append(CellField.from_bins(bins, tally.histories, S, s.height_um, folded=True).coefficients)
             mc = np.subtract(*long)
             errors = [d.std(axis=0, ddof=1) / np.sqrt(len(d)) for d in (twin, mc)]
             print(
@@ -233,9 +207,7 @@ def images() -> None:
             twin_images(shots, supply, **options)
             times.append((perf_counter() - wall, process_time() - cpu))
         best = np.min(times, axis=0)
-        print(
-            f"  {blocks * 32768:7d} histories: best wall {1e3 * best[0]:.0f} ms, processor time {1e3 * best[1]:.0f} ms"
-        )
+        print(f"  {blocks * 32768:7d} histories: wall {1e3 * best[0]:.0f} ms, cpu {1e3 * best[1]:.0f} ms, best of 7")
     columns = [*COLUMNS.values(), film_column(lambda _: shots[-1].scene.chip.top)]
     start = perf_counter()
     found = jacobian(shots, columns, supply, blocks=1, shadow_rays=4096)
@@ -250,13 +222,15 @@ def mirror() -> None:
         case = replace(scene, emission=lambertian, substrate=substrate, receiver=Receiver(Lambertian(0.35)))
         exits = make_exits(case, 1, 128 * BLOCK)
         maps = [Landing(case, exits, seed, survival=1.0).run_to(128 * BLOCK).cell_bins() for seed in (1, 2)]
-        long = cell_of_tally(case, np.mean(maps, axis=0), 128 * BLOCK)
+        S, height = case.layout.spacing_um, case.height_um
+        long = CellField.from_bins(np.mean(maps, axis=0), 128 * BLOCK, S, height, folded=True)
         for shadow in (False, True):
             field = cell_field(case, exits, shadow=shadow)
             own, other = field.map(64).mean(axis=0), long.map(64).mean(axis=0)
-            rms = np.sqrt(np.mean((own - other) ** 2)) / other.mean()
+            rms, change = np.sqrt(np.mean((own - other) ** 2)) / other.mean(), field.mean / long.mean - 1.0
+            chips = f"chips {'counted' if shadow else 'ignored':8s}"
             print(
-                f"case A, {name:10s} chips {'counted' if shadow else 'ignored':8s}: mean {long.mean:.4f} {100 * (field.mean / long.mean - 1):+.3f} %, map rms {100 * rms:.2f} %"
+                f"case A, {name:10s} {chips}: mean {long.mean:.4f} {100 * change:+.3f} %, map rms {100 * rms:.2f} %"
             )
 
 

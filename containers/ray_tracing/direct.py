@@ -3,8 +3,8 @@
 What the substrate and other chips do on the way is traced; what the receiver sends back by Lambert's law is not
 (`closure` reckons it). Reflections at the receiver that are no Lambert scattering, a mirror's or a lobe's, are
 followed, and each of their arrivals counts. Everything is arranged so that small changes of a scene make small
-changes of the map: the substrate's reflectance is a factor for each bounce and not a lottery, and an arrival is shared among
-the four bins around it in proportion to its distance, so that it moves from bin to bin without a jump.
+changes of the map: the substrate's reflectance is a factor for each bounce and not a lottery, and an arrival is
+shared among the four bins around it in proportion to its distance, so that it moves from bin to bin without a jump.
 """
 
 from __future__ import annotations

@@ -35,7 +35,7 @@ class Exchange:
 
     Notes
     -----
-    A chip takes from the places that see it, by Lambert's law from the distance; all chips of an endless array `lost`.
+    A chip takes from the places that see it, by Lambert's law from the distance; all of an endless array take `lost`.
     """
 
     def __init__(

@@ -3,7 +3,7 @@
     stored exits --landed once, frozen numbers--> direct light --round trips reckoned--> all light
 
 Direct light is traced (`direct`), so that neighbours, substrate and re-entry of direct light are what they are; what
-the receiver sends back is reckoned (`closure`), and what chips do to that is measured by a few frozen rays (`shadow`).
+the receiver sends back is reckoned (`closure`), and what chips do to it is measured by a few frozen rays (`shadow`).
 The exits' own sampling error passes through: groups stay groups, and the fields carry their spread as any others.
 """
 
