@@ -138,10 +138,8 @@ def module() -> None:
 
 def module_of_tally(tally: Tally, scene: Scene) -> ModuleField:
     """Monte Carlo's field of a finite module, all groups together twice."""
-    box, whole = tally.box, tally.bins.sum(axis=(0, 1))
-    x1, y1 = box.x0_um + box.columns * box.step_um, box.y0_um + box.rows * box.step_um
-    histories = tally.total_histories // scene.layout.power.size
-    return ModuleField.from_bins(np.stack([whole] * 2), histories, (box.x0_um, x1, box.y0_um, y1), scene.height_um)
+    whole, histories = tally.cell_bins().sum(axis=0), tally.total_histories / scene.layout.power.size
+    return ModuleField.from_bins(np.stack([whole] * 2), histories, tally.box.ends_um, scene.height_um)
 
 
 def eight_images(image: Real) -> Real:

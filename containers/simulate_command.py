@@ -59,6 +59,7 @@ OPTIONS = {
     "method": "--method",
 }
 """Which option a field of a request comes from."""
+TWIN_HISTORIES = 1_000_000
 TARGET_ERROR_POINTS = 0.3
 RAY_HISTORIES = 1 << 18
 """Of a ray file."""
@@ -127,7 +128,7 @@ def simulate(
         check_file(option, file, FILES[option])
     draw = view("simulation", plot) if plot is not None else None
     if histories is None and target_error is None:
-        target_error = TARGET_ERROR_POINTS
+        histories, target_error = (TWIN_HISTORIES, None) if method == "twin" else (None, TARGET_ERROR_POINTS)
     if histories is not None and target_error is not None:
         raise InputError("--histories, --target-error", "both", "one of the two", "a count, or the error to reach")
     with named_by_option():

@@ -39,7 +39,8 @@ TRUSTED_BIAS = 0.05
 
 def as_text(document: Mapping[str, Any]) -> str:
     """All of a result document, some thirty lines."""
-    return "\n".join([*_head(document), *_metrics(document), *_shares(document), *_end(document)])
+    shares = _shares(document) if "ledger" in document else ()
+    return "\n".join([*_head(document), *_metrics(document), *shares, *_end(document)])
 
 
 def _head(document: Mapping[str, Any]) -> Iterator[str]:
@@ -87,6 +88,7 @@ def _end(document: Mapping[str, Any]) -> Iterator[str]:
     target = document["target_error_points"]
     asked = f" for {target:g} points" if target is not None else ""
     how = "stored chip exits" if document["stored_exits"] else "full histories"
+    how = "exits, by the twin" if document["method"] == "twin" else how
     seeds = f"seed {document['seed']}" + (f", exit seed {document['exit_seed']}" if "exit_seed" in document else "")
     yield f"{document['histories']:,} histories{asked} in {document['compute_s']:.2f} s ({how}, {seeds})"
     for name, file in document.get("files", {}).items():

@@ -72,6 +72,10 @@ def _cut(axes: Axes, document: Mapping[str, Any], arrays: Mapping[str, NDArray[A
 
 def _ledger(axes: Axes, document: Mapping[str, Any]) -> None:
     """Where the light ended, in percent of what was emitted."""
+    if "ledger" not in document:
+        axes.set_axis_off()
+        axes.text(0.0, 0.5, "the twin follows only part of the light:\nno ledger", fontsize=9, va="center")
+        return
     shares = [100.0 * document["ledger"][name]["value"] for name in ENDS]
     errors = [100.0 * document["ledger"][name]["standard_error"] for name in ENDS]
     bars = axes.barh(list(ENDS.values()), shares, xerr=errors, color="tab:blue", alpha=0.8)

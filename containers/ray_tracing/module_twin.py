@@ -94,19 +94,12 @@ class ModuleTwin:
 
     def field(self) -> ModuleField:
         """All groups as a field over the module and a pad beyond its edges."""
-        box = Box.of(self.scene)
-        x, y = (
-            Axis(
-                -n * box.step_um / 2.0,
-                n * box.step_um,
-                int(TAPER_END * CUTOFF_X / self.scene.height_um * n * box.step_um / np.pi),
-                "box",
-            )
-            for n in (box.columns, box.rows)
-        )
-        at_x, at_y = (np.asarray((np.arange(n) + 0.5 - n / 2.0) * box.step_um) for n in (box.columns, box.rows))
+        x0, x1, y0, y1 = Box.of(self.scene).ends_um
+        last = TAPER_END * CUTOFF_X / self.scene.height_um / np.pi
+        x, y = (Axis(low, high - low, int(last * (high - low)), "box") for low, high in ((x0, x1), (y0, y1)))
+        at_x, at_y = map(_samples, (x, y))
         values = self.of_groups(at_x, at_y)
-        coefficients = y.functions(at_y).T @ values @ x.functions(at_x) / (box.rows * box.columns)
+        coefficients = y.functions(at_y).T @ values @ x.functions(at_x) / (at_x.size * at_y.size)
         histories = self.chip.histories
         return ModuleField(coefficients, x, y, histories, 0.0, per_m2=1e6)
 
@@ -182,3 +175,9 @@ def one_chip(scene: Scene, tally: Tally) -> ChipMap:
     cloud = np.multiply.outer(cloud_window(y, box.step_um), cloud_window(x, box.step_um))
     coefficients = np.stack([field.coefficients for field in fields], axis=1) * (fade / cloud) / (2.0 * reach) ** 2
     return ChipMap(coefficients, x, y, tally.total_histories)
+
+
+def _samples(axis: Axis) -> Real:
+    """Middles of twice as many equal parts of a box as it has modes."""
+    count = 2 * max(axis.modes, 1)
+    return np.asarray(axis.start_um + (np.arange(count) + 0.5) / count * axis.length_um)

@@ -21,6 +21,7 @@ from containers.ray_tracing.light import light_of
 from containers.ray_tracing.tally import OPTICAL_EVENTS, Tally
 from containers.ray_tracing.uniformity import Metrics, Region, array_region, cell_region, metrics_of
 from containers.scene import Array, Scene
+from luxloop.errors import InputError
 from luxloop.model import Environment
 from luxloop.photometry import illuminance_lx
 
@@ -38,7 +39,8 @@ class Solved:
     """What a tally says of a scene: the field on its receiver, and where it is judged."""
 
     scene: Scene
-    tally: Tally
+    tally: Tally | None
+    """What full histories or landed exits left; None of the twin, which follows only part of the light."""
     field: Field
     region: Region
 
@@ -56,10 +58,15 @@ class Solved:
 
 def solved(scene: Scene, tally: Tally) -> Solved:
     """The field of a tally. Raises InputError where its bins cannot tell it."""
-    layout, field = scene.layout, light_of(tally, scene)
+    return Solved(scene, tally, light_of(tally, scene), region_of(scene))
+
+
+def region_of(scene: Scene) -> Region:
+    """Where the receiver of a scene is judged."""
+    layout = scene.layout
     if isinstance(layout, Array):
-        return Solved(scene, tally, field, array_region(layout.rows, layout.columns, layout.spacing_um))
-    return Solved(scene, tally, field, cell_region(layout.spacing_um))
+        return array_region(layout.rows, layout.columns, layout.spacing_um)
+    return cell_region(layout.spacing_um)
 
 
 def outcome(found: Solved, environment: Environment, map_bins: int) -> tuple[Document, Arrays]:
@@ -70,7 +77,7 @@ def outcome(found: Solved, environment: Environment, map_bins: int) -> tuple[Doc
     InputError : too few histories to say anything of the uniformity.
     """
     tally = found.tally
-    efficiency = _mean_of(tally.ledger[:, ENDS.index("receiver")] / tally.histories)
+    efficiency = _mean_of(tally.ledger[:, ENDS.index("receiver")] / tally.histories) if tally is not None else None
     metrics = metrics_of(
         found.field,
         found.region,
@@ -83,19 +90,26 @@ def outcome(found: Solved, environment: Environment, map_bins: int) -> tuple[Doc
     lx = float(illuminance_lx(irradiance, environment.peak_nm, environment.fwhm_nm))
     half_x, half_y = found.half_um
     result = {
-        "histories": tally.total_histories,
-        "groups": tally.groups,
+        "histories": tally.total_histories if tally is not None else found.field.histories,
+        "groups": found.field.groups,
         "metrics": metrics_document(metrics),
         "region": metrics.region,
-        "ledger": _by_name(ENDS, tally.ledger, tally.histories),
-        "ledger_defect": tally.ledger_defect,
-        "optical_events": _by_name(OPTICAL_EVENTS, tally.arrivals, tally.histories),
+        **(_books(tally) if tally is not None else {}),
         "lx_per_unit": lx,
         "unit": "relative illuminance" if isinstance(found.field, CellField) else "1/mm2 per flux of a chip",
         "map": {"x_um": [-half_x, half_x], "y_um": [-half_y, half_y]},
         "cut": {"y_um": found.region.line_y_um, "window_um": [float(x) for x in found.region.line_um[[0, -1]]]},
     }
     return result, _map(found, map_bins, lx) | _cut(found, lx)
+
+
+def _books(tally: Tally) -> Document:
+    """Where the light ended, and how it came to the receiver."""
+    return {
+        "ledger": _by_name(ENDS, tally.ledger, tally.histories),
+        "ledger_defect": tally.ledger_defect,
+        "optical_events": _by_name(OPTICAL_EVENTS, tally.arrivals, tally.histories),
+    }
 
 
 def metrics_document(metrics: Metrics) -> Document:
@@ -110,10 +124,13 @@ def far_fields(found: Solved, *, fold: bool) -> tuple[Document, Arrays]:
     The chip's is the light that leaves chips and has not yet been at the receiver; the module's is the light that
     comes to the receiver for the first time. `fold`: the scene has the symmetries of a square.
     """
-    weights, upper = found.tally.directions * found.chips, found.tally.directions.shape[2] // 2
+    tally = found.tally
+    if tally is None:
+        raise InputError("far_field", True, "false with method = twin", "use monte_carlo")
+    weights, upper = tally.directions * found.chips, tally.directions.shape[2] // 2
     both = {
-        "chip": far_field(weights[:, 0], found.tally.histories, -1.0),
-        "module": far_field(weights[:, 1, upper:], found.tally.histories, 0.0),
+        "chip": far_field(weights[:, 0], tally.histories, -1.0),
+        "module": far_field(weights[:, 1, upper:], tally.histories, 0.0),
     }
     document: Document = {}
     arrays: Arrays = {}

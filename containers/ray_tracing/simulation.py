@@ -11,13 +11,15 @@ from containers.bsdf import Mirror
 from containers.ray_tracing.arrays import DX, DZ, X, Z
 from containers.ray_tracing.build import array_of, cell_of, scene_of
 from containers.ray_tracing.exit_source import ExitSource
-from containers.ray_tracing.exits import Landing
+from containers.ray_tracing.exits import Landing, make_exits
 from containers.ray_tracing.kernel import WAVE_OF_EXIT, WEIGHT_OF_EXIT
+from containers.ray_tracing.module_twin import ModuleTwin
 from containers.ray_tracing.monte_carlo import BLOCK, MonteCarlo, blocks_of
-from containers.ray_tracing.outcome import Arrays, Document, far_fields, outcome, solved
+from containers.ray_tracing.outcome import Arrays, Document, Solved, far_fields, outcome, region_of, solved
 from containers.ray_tracing.receiver_images import images_of, refuse_too_many
 from containers.ray_tracing.stopping import POINTS, Solver, Target, run_to_count, run_to_error
-from containers.ray_tracing.tally import GROUPS, Tally
+from containers.ray_tracing.tally import GROUPS, Box, Tally
+from containers.ray_tracing.twin import cell_field
 from containers.ray_tracing.uniformity import uniformity
 from containers.scene import Array, Cell, Scene
 from containers.stack import dbr_of
@@ -59,14 +61,15 @@ def simulate(
     that leave a chip, x and y about its centre, z from the substrate: `ray_position_um`, `ray_direction` (ray, 3),
     `ray_flux_ratio` of the flux that the chip emits, `ray_wavelength_nm` (ray,).
     """
-    if request.method == "twin":
-        raise InputError("method", "twin", "monte_carlo", "the twin is not built yet")
     refuse_too_many(request.images)
     refuse_other_film(request, film)
     scene = scene_of(request.environment, request.design, film, layout_of(request))
-    solver = _solver(request, scene, source, threads)
-    _solve(request, scene, solver, progress)
-    found = solved(scene, solver.tally)
+    if request.method == "twin":
+        found = _twin(request, scene, progress, threads)
+    else:
+        solver = _solver(request, scene, source, threads)
+        _solve(request, scene, solver, progress)
+        found = solved(scene, solver.tally)
     result, arrays = outcome(found, request.environment, request.map_bins)
     result |= {name: getattr(request, name) for name in ("method", "seed", "stored_exits")}
     if request.far_field:
@@ -74,10 +77,10 @@ def simulate(
         result["far_field"]["eightfold"] = scene.symmetric
         arrays |= more
     if request.images:
-        seen = images_of(found.field, found.tally.box, request.images, lambda share: progress.report(share, "images"))
+        seen = images_of(found.field, Box.of(scene), request.images, lambda share: progress.report(share, "images"))
         for number, (image, error) in enumerate(seen):
             arrays |= {f"image_{number}": image, f"image_error_{number}": error}
-    if request.stored_exits or request.exit_histories:
+    if request.stored_exits or request.exit_histories or request.method == "twin":
         result["exit_seed"] = request.exit_seed
     if request.exit_histories:
         of_rays, more = _exits(request, scene, film, source, progress)
@@ -119,6 +122,20 @@ def refuse_other_film(request: RayRequest, film: FilmTable | None) -> None:
         raise InputError("film", str(film.stack)[:200], str(wanted[0])[:200] if pairs else "none: no pairs", mend)
     if not film.resolved:
         raise InputError("film", film.error_average_ratio, f"an error up to {film.grid.tolerance_ratio:g}", mend)
+
+
+def _twin(request: RayRequest, scene: Scene, progress: Progress, threads: int | None) -> Solved:
+    """The receiver as the twin sees it, from the exits of as many histories as are asked for."""
+    if request.histories is None:
+        mend = "the twin has no error to stop by but its exits'; 1,000,000 are usual"
+        raise InputError("histories", None, "a count with method = twin", mend)
+    if request.far_field:
+        raise InputError("far_field", True, "false with method = twin", "use monte_carlo")
+    each, seed = blocks_of(request.histories), int(request.exit_seed)
+    exits = make_exits(scene, seed, each, threads=threads, report=lambda share: progress.report(share, "exits"))
+    if isinstance(scene.layout, Cell):
+        return Solved(scene, None, cell_field(scene, exits, threads=threads), region_of(scene))
+    return Solved(scene, None, ModuleTwin(scene, exits, groups=GROUPS, threads=threads).field(), region_of(scene))
 
 
 def _solver(request: RayRequest, scene: Scene, source: ExitSource, threads: int | None) -> Solver:

@@ -46,7 +46,7 @@ class RayComputation:
 
     def catalogue(self) -> dict[str, Any]:
         """What can be asked, and which effects are known."""
-        return {"methods": ["monte_carlo"], "effects": []}
+        return {"methods": ["monte_carlo", "twin"], "effects": []}
 
     def blob(self, sha256: str) -> bytes | None:  # noqa: ARG002  # a worker's interface
         """None: what it sends lies in the store of what was sent."""
@@ -99,7 +99,8 @@ def warm_up(source: ExitSource, threads: int | None = None) -> None:
         images=(Camera(rows=8, columns=8, distortion=0.01, psf_um=8.0, glare=0.01),),
     )
     array = cell.model_copy(update={"array": ChipArray(rows=1, columns=1, wall_reflectance=0.5)})
-    for request in (cell, array, cell.model_copy(update={"stored_exits": True})):
+    twin = cell.model_copy(update={"method": "twin", "far_field": False})
+    for request in (cell, array, cell.model_copy(update={"stored_exits": True}), twin):
         simulate(request, film, source, Progress(), threads)
 
 

@@ -235,7 +235,7 @@ def test_a_finite_module_has_its_own_files(simulated: Run, tmp_path: Path) -> No
         ({"preset": "S_b3", "array": "0x5"}, "--array"),
         ({"preset": "S_b3", "array": "2x2", "wall": 1.5}, "--wall"),
         ({"preset": "S_b3", "wall": 0.5}, "--wall"),
-        ({"preset": "S_b3", "method": "twin"}, "--method"),
+        ({"preset": "S_b3", "method": "twin", "histories": None, "target_error": 1.0}, "--histories"),
         ({"preset": "S_b3", "plot": Path("map.txt")}, "--plot"),
         ({"preset": "S_b3", "rays": Path("nowhere/at/all.tm25ray")}, "--rays"),
         ({"preset": "S_b3", "model": "papre"}, "model"),

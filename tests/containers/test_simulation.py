@@ -292,6 +292,19 @@ def test_a_black_level_has_no_error_and_saturation_has_less() -> None:
     assert (arrays["image_error_2"] < arrays["image_error_0"]).all()
 
 
+@pytest.mark.parametrize("array", [None, {"rows": 3, "columns": 3}])
+def test_the_twin_agrees_with_monte_carlo(array: dict[str, int] | None) -> None:
+    """The same module by both methods: mean and map within joint errors; the twin books no ledger."""
+    ours, maps = traced(request(array=array, histories=262_144))
+    twins, twin_maps = traced(request(array=array, histories=262_144, method="twin"))
+    one, other = (found["metrics"]["mean_illuminance_lx"] for found in (ours, twins))
+    assert other["value"] == pytest.approx(one["value"], abs=4.0 * one["standard_error"] + 2e-3 * one["value"])
+    off = (twin_maps["map_lx"] - maps["map_lx"]) / np.hypot(twin_maps["map_error_lx"], maps["map_error_lx"])
+    assert np.sqrt(np.mean(off**2)) < 2.0
+    assert "ledger" not in twins
+    assert twins["metrics"]["uniformity"]["standard_error"] > 0.0
+
+
 # What is refused
 
 
@@ -300,7 +313,9 @@ def test_a_black_level_has_no_error_and_saturation_has_less() -> None:
     [
         ({"design": DESIGN | {"distance_um": 36.0}}, "design"),
         ({"design": DESIGN | {"width_um": 500.0}}, "design"),
-        ({"method": "twin"}, "method"),
+        ({"method": "twin", "far_field": True}, "far_field"),
+        ({"method": "twin", "histories": None, "target_error_points": 1.0}, "histories"),
+        ({"method": "twin", "array": {"rows": 2, "columns": 2, "wall_reflectance": 0.5}}, "layout"),
         ({"images": [{"rows": 4096, "columns": 4096}] * 2}, "images"),
         ({"images": [{"rows": 4096, "columns": 16, "pixel_um": 900.0}]}, "images"),
         ({"array": {"rows": 2, "columns": 2, "power": [1.0]}}, "array.power"),

@@ -135,8 +135,8 @@ def test_a_finite_module_is_that_of_monte_carlo(lambert_case: tuple[Scene, Exits
     finite = replace(case, layout=Array.regular(3, 3, 500.0))
     runs = [Landing(finite, exits, seed, survival=1.0).run_to(exits.histories) for seed in range(6)]
     box = runs[0].box
-    at = (np.arange(box.columns) + 0.5 - box.columns / 2) * box.step_um
-    long = np.mean([run.bins.sum(axis=(0, 1)) for run in runs], axis=0) / (runs[0].total_histories / 9)
+    long = np.mean([run.cell_bins().sum(axis=0) for run in runs], axis=0) / (runs[0].total_histories / 9)
+    at = (np.arange(len(long)) + 0.5 - len(long) / 2) * box.step_um
     twin = 1e-6 * box.step_um**2 * ModuleTwin(finite, exits).mean(at, at)
     for half in (750.0, 250.0):
         inside = np.ix_(np.abs(at) < half, np.abs(at) < half)
