@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -140,7 +141,16 @@ def test_a_scene_is_symmetric_where_its_emission_is() -> None:
     assert scene(emission=Emission(position=square)).symmetric
     for broken in (square[:2], square + np.arange(3), square + np.arange(3)[:, None]):
         assert not scene(emission=Emission(position=broken)).symmetric
-    assert not scene(layout=Array.regular(1, 1, 500.0)).symmetric
+
+
+def test_an_array_is_symmetric_where_it_is_a_square_of_equal_chips() -> None:
+    """As many rows as columns, no chip displaced or of another power, no tilt."""
+    square = Array.regular(2, 2, 500.0)
+    assert scene(layout=square).symmetric
+    assert not scene(layout=Array.regular(1, 2, 500.0)).symmetric
+    assert not scene(layout=square, tilt_per_um=(1e-5, 0.0)).symmetric
+    assert not scene(layout=replace(square, power=np.array([[1.0, 1.0], [1.0, 2.0]]))).symmetric
+    assert not scene(layout=replace(square, offset_um=np.full((2, 2, 2), 1.0))).symmetric
 
 
 def test_every_scene_that_is_taken_can_be_packed() -> None:
