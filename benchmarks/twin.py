@@ -18,14 +18,14 @@ from numpy.typing import NDArray
 
 from containers.bsdf import Lambertian, Mirror
 from containers.ray_tracing.build import cell_of, scene_of
-from containers.ray_tracing.columns import COLUMNS, film_column
 from containers.ray_tracing.exits import Exits, Landing, make_exits
 from containers.ray_tracing.field import CellField, ModuleField
-from containers.ray_tracing.module_twin import ModuleTwin
 from containers.ray_tracing.monte_carlo import BLOCK
-from containers.ray_tracing.prediction import Shot, Supply, jacobian, twin_images
 from containers.ray_tracing.tally import Tally
-from containers.ray_tracing.twin import cell_field
+from containers.ray_tracing.twin.cell import cell_field
+from containers.ray_tracing.twin.columns import COLUMNS, film_column
+from containers.ray_tracing.twin.module import ModuleTwin
+from containers.ray_tracing.twin.prediction import Shot, Supply, jacobian, twin_images
 from containers.ray_tracing.uniformity import cell_region, uniformity
 from containers.scene import Array, Emission, Receiver, Scene
 from containers.stack import dbr_of

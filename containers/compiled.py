@@ -2,7 +2,7 @@
 
 Compiled code lies under `$LUXLOOP_KERNELS/<key>` (default `kernels` in `LUXLOOP_CACHE`), or in `NUMBA_CACHE_DIR`
 where that is set. numba compiles again when the file of a kernel changes, but not when the
-file of a kernel that it calls does; therefore the key is a digest of all files of the same folder that hold kernels.
+file of a kernel that it calls does; therefore the key is a digest of all files of the same worker that hold kernels.
 """
 
 from __future__ import annotations
@@ -62,12 +62,12 @@ def _kernel_folder(folder: Path) -> str:
     """Where the compiled kernels of one source folder lie."""
     if chosen := os.environ.get("NUMBA_CACHE_DIR"):
         return chosen
-    sources = [(path.name, path.read_bytes()) for path in sorted(folder.glob("*.py"))]
-    digest = hashlib.sha256(
-        repr([(name, text) for name, text in sources if b"@kernel" in text or b"_kernel\n" in text]).encode()
-    )
+    package = folder.parent if (folder.parent.parent / "__init__.py").exists() else folder
+    sources = [(path.name, path.read_bytes()) for path in sorted(package.rglob("*.py"))]
+    kernels = [(name, text) for name, text in sources if b"@kernel" in text or b"_kernel\n" in text]
+    digest = hashlib.sha256(repr(kernels).encode())
     chosen = os.environ.get("LUXLOOP_KERNELS")
-    return str((Path(chosen) if chosen else cache_folder() / "kernels") / f"{folder.name}-{digest.hexdigest()[:12]}")
+    return str((Path(chosen) if chosen else cache_folder() / "kernels") / f"{package.name}-{digest.hexdigest()[:12]}")
 
 
 def release_compiler_pages() -> int:

@@ -13,13 +13,13 @@ from containers.ray_tracing.build import array_of, cell_of, scene_of
 from containers.ray_tracing.exit_source import ExitSource
 from containers.ray_tracing.exits import Landing, make_exits
 from containers.ray_tracing.kernel import WAVE_OF_EXIT, WEIGHT_OF_EXIT
-from containers.ray_tracing.module_twin import ModuleTwin
 from containers.ray_tracing.monte_carlo import BLOCK, MonteCarlo, blocks_of
 from containers.ray_tracing.outcome import Arrays, Document, Solved, far_fields, outcome, region_of, solved
 from containers.ray_tracing.receiver_images import images_of, refuse_too_many
 from containers.ray_tracing.stopping import POINTS, Solver, Target, run_to_count, run_to_error
 from containers.ray_tracing.tally import GROUPS, Box, Tally
-from containers.ray_tracing.twin import cell_field
+from containers.ray_tracing.twin.cell import cell_field
+from containers.ray_tracing.twin.module import ModuleTwin
 from containers.ray_tracing.uniformity import uniformity
 from containers.scene import Array, Cell, Scene
 from containers.stack import dbr_of

@@ -7,8 +7,8 @@ import pytest
 from scipy import integrate, special
 
 from containers.bsdf import GaussianLobe, Lambertian, Mirror, Mixture
-from containers.ray_tracing.closure import bessel_j0, lambert, round_trip
-from containers.ray_tracing.exchange import Exchange
+from containers.ray_tracing.twin.closure import bessel_j0, lambert, round_trip
+from containers.ray_tracing.twin.exchange import Exchange
 from containers.scene import Array, Receiver, lambertian_receiver
 
 SIGMA = np.radians(5.0)

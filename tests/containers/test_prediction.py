@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from containers.bsdf import GaussianLobe
-from containers.ray_tracing.columns import COLUMNS, film_column
 from containers.ray_tracing.exits import Exits, make_exits
-from containers.ray_tracing.module_twin import ModuleTwin
 from containers.ray_tracing.monte_carlo import BLOCK
-from containers.ray_tracing.prediction import Anchor, Shot, Supply, jacobian, twin_images
+from containers.ray_tracing.twin.columns import COLUMNS, film_column
+from containers.ray_tracing.twin.module import ModuleTwin
+from containers.ray_tracing.twin.prediction import Anchor, Shot, Supply, jacobian, twin_images
 from containers.scene import Array, Scene
 from luxloop.camera import Camera
 from tests.ray_scenes import scene, taking

@@ -13,7 +13,7 @@ from containers.ray_tracing.arrays import THROUGH_TOP
 from containers.ray_tracing.exits import Exits, make_exits
 from containers.ray_tracing.kernel import EVENT_OF_EXIT, WEIGHT_OF_EXIT
 from containers.ray_tracing.monte_carlo import BLOCK
-from containers.ray_tracing.reweighting import reweighted
+from containers.ray_tracing.twin.reweighting import reweighted
 from containers.scene import Face, Scene
 from luxloop.errors import InputError
 from tests.ray_scenes import N, scene

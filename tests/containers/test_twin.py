@@ -9,12 +9,12 @@ import pytest
 from numpy.typing import NDArray
 
 from containers.bsdf import GaussianLobe, Lambertian, Mirror, Mixture
-from containers.ray_tracing.columns import COLUMNS
 from containers.ray_tracing.exits import Exits, Landing, make_exits
 from containers.ray_tracing.field import CellField
-from containers.ray_tracing.module_twin import ModuleTwin
 from containers.ray_tracing.monte_carlo import BLOCK
-from containers.ray_tracing.twin import cell_field
+from containers.ray_tracing.twin.cell import cell_field
+from containers.ray_tracing.twin.columns import COLUMNS
+from containers.ray_tracing.twin.module import ModuleTwin
 from containers.scene import Array, Cell, Emission, Receiver, Scene, lambertian_receiver
 from luxloop.errors import InputError
 from tests.ray_scenes import scene

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from containers.bsdf import Bsdf, Lambertian
 from containers.ray_tracing.arrays import BOTTOM_HITS, DX, DY, PATH, TOP_COSINES, TOP_HITS, TRACE, Z
-from containers.ray_tracing.direct import without_loss
 from containers.ray_tracing.exits import Exits, chip_key
 from containers.ray_tracing.kernel import WAVE_OF_EXIT, WEIGHT_OF_EXIT
+from containers.ray_tracing.twin.direct import without_loss
 from containers.scene import Scene
 from luxloop.errors import InputError
 

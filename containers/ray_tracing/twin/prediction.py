@@ -18,13 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from containers.ray_tracing.camera import irradiance_image, margin_px, pixels, receiver_points
-from containers.ray_tracing.columns import Column
-from containers.ray_tracing.direct import in_parallel
 from containers.ray_tracing.exits import Exits, chip_key
 from containers.ray_tracing.field import Field
 from containers.ray_tracing.light_map import LightMap
-from containers.ray_tracing.module_twin import BINS_PER_HEIGHT, PAD, ModuleTwin
-from containers.ray_tracing.reweighting import reweighted, without_what_is_noted
+from containers.ray_tracing.twin.columns import Column
+from containers.ray_tracing.twin.direct import in_parallel
+from containers.ray_tracing.twin.module import BINS_PER_HEIGHT, PAD, ModuleTwin
+from containers.ray_tracing.twin.reweighting import reweighted, without_what_is_noted
 from containers.scene import Array, Scene
 from luxloop.camera import Camera
 from luxloop.errors import InputError

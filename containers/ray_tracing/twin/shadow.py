@@ -35,13 +35,13 @@ from containers.ray_tracing.arrays import (
     Y,
     Z,
 )
-from containers.ray_tracing.direct import Way, in_parallel, nowhere
-from containers.ray_tracing.direct_kernel import WayArrays, reaches_receiver
 from containers.ray_tracing.field import Axis
 from containers.ray_tracing.kernel import Scratch, scratch
 from containers.ray_tracing.philox import CHIP, EMISSION, draw, start
 from containers.ray_tracing.philox import SUBSTRATE as SUBSTRATE_KIND
 from containers.ray_tracing.surfaces import REFLECTED, scatter
+from containers.ray_tracing.twin.direct import Way, in_parallel, nowhere
+from containers.ray_tracing.twin.direct_kernel import WayArrays, reaches_receiver
 from containers.scene import Scene
 
 Real = NDArray[np.float64]

@@ -22,8 +22,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from containers.bsdf import Bsdf, GaussianLobe, Lambertian, Mirror, Mixture
-from containers.ray_tracing.direct import lambertian_part
 from containers.ray_tracing.field import lambert_transform
+from containers.ray_tracing.twin.direct import lambertian_part
 from containers.scene import Receiver
 from luxloop.errors import InputError
 

@@ -14,13 +14,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from containers.ray_tracing.closure import round_trip
-from containers.ray_tracing.direct import ARRIVES, direct_light, lambertian_part, open_way
 from containers.ray_tracing.exits import Exits
 from containers.ray_tracing.field import Axis, CellField
 from containers.ray_tracing.packing import emission_arrays
-from containers.ray_tracing.shadow import correction, low_axis, periods_seen
 from containers.ray_tracing.tally import Box
+from containers.ray_tracing.twin.closure import round_trip
+from containers.ray_tracing.twin.direct import ARRIVES, direct_light, lambertian_part, open_way
+from containers.ray_tracing.twin.shadow import correction, low_axis, periods_seen
 from containers.scene import Cell, Receiver, Scene
 from luxloop.errors import InputError
 
@@ -56,7 +56,7 @@ def cell_field(
     lose to the chips what the mean does. What is recorded differs from what arrives by response and plate.
     """
     if not isinstance(scene.layout, Cell):
-        raise InputError("layout", type(scene.layout).__name__, "a cell that repeats", "use module_twin")
+        raise InputError("layout", type(scene.layout).__name__, "a cell that repeats", "use twin.module")
     spacing, receiver = scene.layout.spacing_um, scene.receiver
     way, emission = open_way(scene, Box.of(scene)), emission_arrays(scene)
     tally = direct_light(way, emission, exits, seed, blocks=blocks, threads=threads)

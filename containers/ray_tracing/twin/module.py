@@ -15,14 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from containers.ray_tracing.arrays import EmissionArrays
-from containers.ray_tracing.direct import ARRIVES, Way, direct_light, open_way
-from containers.ray_tracing.exchange import Complex, Exchange
 from containers.ray_tracing.exits import Exits
 from containers.ray_tracing.field import CUTOFF_X, TAPER_END, Axis, CellField, ModuleField
 from containers.ray_tracing.packing import emission_arrays
-from containers.ray_tracing.shadow import RAYS, correction
 from containers.ray_tracing.tally import Box, Tally
-from containers.ray_tracing.twin import SEED, cloud_window, plate
+from containers.ray_tracing.twin.cell import SEED, cloud_window, plate
+from containers.ray_tracing.twin.direct import ARRIVES, Way, direct_light, open_way
+from containers.ray_tracing.twin.exchange import Complex, Exchange
+from containers.ray_tracing.twin.shadow import RAYS, correction
 from containers.scene import Array, Cell, Scene
 from luxloop.errors import InputError
 

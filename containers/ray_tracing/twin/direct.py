@@ -33,12 +33,12 @@ from containers.ray_tracing.arrays import (
     SceneArrays,
     Sinks,
 )
-from containers.ray_tracing.direct_kernel import WayArrays, land_direct
 from containers.ray_tracing.exits import LANDING, Exits
 from containers.ray_tracing.kernel import scratch
 from containers.ray_tracing.monte_carlo import BLOCK, usable_threads
 from containers.ray_tracing.packing import scene_arrays
 from containers.ray_tracing.tally import OPTICAL_EVENTS, Box, Tally
+from containers.ray_tracing.twin.direct_kernel import WayArrays, land_direct
 from containers.scene import Receiver, Scene
 from luxloop.errors import InputError
 

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from containers.bsdf import Bsdf, Lambertian
-from containers.ray_tracing.closure import lambert, round_trip, ways_of
-from containers.ray_tracing.direct import lambertian_part
+from containers.ray_tracing.twin.closure import lambert, round_trip, ways_of
+from containers.ray_tracing.twin.direct import lambertian_part
 from containers.scene import Array, Receiver
 from luxloop.errors import InputError
 
