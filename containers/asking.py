@@ -54,10 +54,15 @@ def answers(client: Client, requests: Sequence[Any], what: str, show: bool) -> I
 def watched(client: Client, request: Any, what: str, show: bool, limit_s: float) -> Answer:
     """The answer to one request that may take long; raises its failure. `show` draws how far its worker says it is.
 
-    Left early (Ctrl-C), the request is withdrawn.
+    Left early (Ctrl-C), the request is withdrawn, so that its worker is free at once.
     """
     if not show:
-        return client.run(request, limit_s=limit_s)
+        try:
+            return client.run(request, limit_s=limit_s)
+        except KeyboardInterrupt:
+            with suppress(LuxloopError):
+                client.withdraw(request)
+            raise
     from luxloop.bus import Interrupt
     from luxloop.client import as_task
 

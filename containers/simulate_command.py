@@ -60,6 +60,7 @@ OPTIONS = {
 }
 """Which option a field of a request comes from."""
 TWIN_HISTORIES = 1_000_000
+BUDGET_S = 60.0
 TARGET_ERROR_POINTS = 0.3
 RAY_HISTORIES = 1 << 18
 """Of a ray file."""
@@ -93,8 +94,10 @@ def simulate(
     target_error: Annotated[
         float | None, typer.Option(help="Standard error of the uniformity to reach, in points; default 0.3.")
     ] = None,
-    budget: Annotated[float, typer.Option(help="Seconds; a target that would take longer is refused.")] = 60.0,
-    histories: Annotated[int | None, typer.Option(help="Trace so many rays instead.")] = None,
+    budget: Annotated[
+        float | None, typer.Option(help="Seconds; a target that would take longer is refused. Default 60.")
+    ] = None,
+    histories: Annotated[int | None, typer.Option(help="Trace so many rays instead, rounded up to 32,768.")] = None,
     seed: Annotated[str, typer.Option(help="Of the histories.")] = "1",
     array: Annotated[
         str | None, typer.Option(help="Rows x columns of a finite module, e.g. 5x5; default: an endless array.")
@@ -106,13 +109,16 @@ def simulate(
     stored_exits: Annotated[
         bool, typer.Option("--stored-exits/--no-stored-exits", help="Land stored chip exits: D, S change fast.")
     ] = False,
-    exit_seed: Annotated[str, typer.Option(help="Of stored exits and of a ray file.")] = "1",
+    exit_seed: Annotated[str, typer.Option(help="Of stored exits, of the twin and of a ray file.")] = "1",
     plot: Annotated[Path | None, typer.Option(help="Draw map, cut and ledger: .png, .pdf or .svg.")] = None,
     npz: Annotated[Path | None, typer.Option(help="All arrays, and the document as JSON text: .npz.")] = None,
     ies: Annotated[
-        Path | None, typer.Option(help="Far field of the module without its receiver, IES LM-63: .ies.")
+        Path | None, typer.Option(help="Far field, the light at its first arrival at the receiver, IES LM-63: .ies.")
     ] = None,
-    rays: Annotated[Path | None, typer.Option(help="The light that leaves a chip, IES TM-25: .tm25ray.")] = None,
+    rays: Annotated[
+        Path | None,
+        typer.Option(help="The light that leaves one chip alone, nothing come back, IES TM-25: .tm25ray."),
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", help="Say nothing on stderr but errors.")] = False,
 ) -> None:
@@ -127,6 +133,10 @@ def simulate(
     for option, file in zip(FILES, wanted.values(), strict=True):
         check_file(option, file, FILES[option])
     draw = view("simulation", plot) if plot is not None else None
+    if budget is not None and (histories is not None or method == "twin"):
+        raise InputError(
+            "--budget", budget, "nothing beside --histories or --method twin", "it bounds --target-error"
+        )
     if histories is None and target_error is None:
         histories, target_error = (TWIN_HISTORIES, None) if method == "twin" else (None, TARGET_ERROR_POINTS)
     if histories is not None and target_error is not None:
@@ -139,7 +149,7 @@ def simulate(
             method=method,
             histories=histories,
             target_error_points=target_error,
-            budget_s=budget,
+            budget_s=BUDGET_S if budget is None else budget,
             seed=seed,
             stored_exits=stored_exits,
             exit_seed=exit_seed,

@@ -63,7 +63,9 @@ def _metrics(document: Mapping[str, Any]) -> Iterator[str]:
             notes = [f"bias taken off {100 * one['bias']:+.2f}"] * (abs(one["bias"]) >= 5e-5)
             notes += [f"truncation up to {100 * one['truncation']:.2f}"] * (one["truncation"] >= 5e-5)
             note = f"   ({', '.join(notes)})" if notes else ""
-            yield f"{title:<{WIDTH}}{100 * one['value']:8.2f} +- {100 * one['standard_error']:.2f} %{note}"
+            digits = 2 if one["standard_error"] >= 5e-5 else 3
+            value, error = 100 * one["value"], 100 * one["standard_error"]
+            yield f"{title:<{WIDTH}}{value:{6 + digits}.{digits}f} +- {error:.{digits}f} %{note}"
     lux, hot = metrics["mean_illuminance_lx"], metrics["hot_spot_ratio"]
     yield f"{'mean illuminance':<{WIDTH}}{lux['value']:8.0f} +- {lux['standard_error']:.0f} lx"
     yield f"{'chip centre over gap':<{WIDTH}}{hot['value']:8.3f} +- {hot['standard_error']:.3f}"
@@ -75,7 +77,7 @@ def _shares(document: Mapping[str, Any]) -> Iterator[str]:
     yield f"where the light ended, % of what was emitted (ends and emitted differ by {document['ledger_defect']:.0e})"
     for name, title in ENDS.items():
         yield _share(title, document["ledger"][name])
-    yield "how it came to the receiver, % of what was emitted"
+    yield "arrivals at the receiver, each counted, % of what was emitted"
     for name, title in EVENTS.items():
         yield _share(title, document["optical_events"][name])
 

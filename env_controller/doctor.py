@@ -22,6 +22,8 @@ from luxloop.settings import Settings, load_settings, usable_cache
 Verdict = Literal["ok", "warn", "fail"]
 PACKAGES = ("eclipse-zenoh", "numpy", "pydantic", "numba", "matplotlib")
 OPTIONAL = {"numba": "workers", "matplotlib": "viewer"}
+ROLES = {"film": "thin-film", "ray": "ray-tracing"}
+"""Kinds of workers that a set has, and what serves them."""
 SKEW_S = 0.5
 DISK_GB = 1.0
 
@@ -108,8 +110,10 @@ def _controller(status: Status) -> Finding:
 
 
 def _workers(status: Status) -> Iterator[Finding]:
-    if not status.workers:
-        yield Finding("workers", "fail", "none", "start one: luxloop serve thin-film, or luxloop serve local")
+    kinds = {worker.describe.kind for worker in status.workers}
+    for kind, role in ROLES.items():
+        if kind not in kinds:
+            yield Finding(role, "fail", "no such worker", f"start one: luxloop serve {role}, or luxloop serve local")
     for worker in status.workers:
         memory = f"{worker.resident_mb:.0f} MB, " if worker.resident_mb else ""
         found = (

@@ -134,6 +134,22 @@ def test_an_interrupted_request_is_withdrawn(monkeypatch: pytest.MonkeyPatch) ->
     assert client.withdrawn == [as_task(REQUEST).id]
 
 
+def test_an_interrupted_request_is_withdrawn_without_a_terminal_too() -> None:
+    """Nobody sees a bar, and its worker is free all the same."""
+
+    class Struck(Slow):
+        def run(self, task: Any, *, limit_s: float, until: Interrupt | None = None) -> Answer:  # noqa: ARG002
+            raise KeyboardInterrupt
+
+        def withdraw(self, task: Any) -> None:
+            self.withdrawn.append(as_task(task).id)
+
+    client: Any = Struck(1)
+    with pytest.raises(KeyboardInterrupt):
+        watched(client, REQUEST, "rays", False, 7.0)
+    assert client.withdrawn == [as_task(REQUEST).id]
+
+
 def test_a_preset_is_simulated_with_its_film(simulated: Run, workers: Set) -> None:
     """PC2 is asked for the design's pairs, PC3 for the design with that table; the document says what was asked."""
     document = simulated(preset="S_b3")
@@ -227,7 +243,8 @@ def test_a_finite_module_has_its_own_files(simulated: Run, tmp_path: Path) -> No
         ({"preset": "S_b3", "histories": 0}, "--histories"),
         ({"preset": "S_b3", "target_error": 0.3}, "--histories, --target-error"),
         ({"preset": "S_b3", "histories": None, "target_error": 0.0}, "--target-error"),
-        ({"preset": "S_b3", "budget": 0.0}, "--budget"),
+        ({"preset": "S_b3", "budget": 5.0}, "--budget"),
+        ({"preset": "S_b3", "histories": None, "budget": 0.0}, "--budget"),
         ({"preset": "S_b3", "seed": "x"}, "--seed"),
         ({"preset": "S_b3", "exit_seed": "-1"}, "--exit-seed"),
         ({"preset": "S_b3", "map_bins": 1}, "--map-bins"),
