@@ -20,7 +20,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from containers.ray_tracing.field import CellField, Field, ModuleField, lambert_transform, mode_count
+from containers.ray_tracing.field import Axis, CellField, Field, ModuleField, lambert_transform, mode_count
 from containers.ray_tracing.tally import FIRST, LATER, Tally
 from containers.scene import Array, Scene
 
@@ -57,7 +57,7 @@ def _weighed(field: Field, share: Real) -> Real:
 def _share_of_first(field: Field) -> Real:
     """(function along y, along x), share of light in each mode, from the power around it."""
     mean, noise = _mean_and_noise(field)
-    over_noise = _around(mean**2) / np.maximum(_around(noise), 1e-300) - 1.0
+    over_noise = _around(field, mean**2) / np.maximum(_around(field, noise), 1e-300) - 1.0
     excess = np.maximum(over_noise - CAUTION, 0.0)
     share = np.where(noise > 0.0, excess / (1.0 + excess), 0.0)
     share[0, 0] = 1.0
@@ -81,9 +81,20 @@ def _mean_and_noise(field: Field) -> tuple[Real, Real]:
     return field.coefficients.mean(axis=0), field.coefficients.var(axis=0, ddof=1) / field.groups
 
 
-def _around(power: Real) -> Real:
+def _around(field: Field, power: Real) -> Real:
     """Sum of each mode and its eight neighbours, cosines and sines each among themselves; the mean stays out."""
-    padded = np.pad(power, 1)
-    padded[1, 1] = 0.0
-    rows, columns = power.shape
-    return np.asarray(sum(padded[i : i + rows, j : j + columns] for i in range(3) for j in range(3)))
+    others = power.copy()
+    others[0, 0] = 0.0
+    found = np.zeros_like(power)
+    for rows in _kinds(field.y):
+        for columns in _kinds(field.x):
+            padded = np.pad(others[rows, columns], 1)
+            height, width = padded.shape[0] - 2, padded.shape[1] - 2
+            found[rows, columns] = sum(padded[i : i + height, j : j + width] for i in range(3) for j in range(3))
+    return found
+
+
+def _kinds(axis: Axis) -> tuple[slice, ...]:
+    """The cosines of an axis, and its sines where it has them."""
+    both = slice(0, axis.modes + 1), slice(axis.modes + 1, None)
+    return both if axis.kind == "periodic" else both[:1]

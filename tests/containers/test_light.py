@@ -1,0 +1,62 @@
+"""Which modes of a tally are light: identities of the weights, and that folding a symmetric cell changes little."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from containers.ray_tracing.field import Axis, CellField
+from containers.ray_tracing.light import _around, _share_of_first, light_of
+from containers.ray_tracing.monte_carlo import MonteCarlo
+from containers.scene import Emission
+from tests.ray_scenes import scene
+
+NOISE = np.random.default_rng(5)
+
+
+def field_of(coefficients: np.ndarray[tuple[int, ...], np.dtype[np.float64]], kind: str) -> CellField:
+    """A field with these coefficients (group, y, x) of six modes."""
+    axis = Axis(0.0, 500.0, 6, kind)  # type: ignore[arg-type]  # one of its words
+    return CellField(coefficients, axis, axis, 1000, 0.0, 1.0)
+
+
+def test_a_sine_is_no_neighbour_of_the_last_cosine() -> None:
+    """In a cell that is not symmetric the strong first sine says nothing of the highest cosine beside it."""
+    power = np.zeros((13, 13))
+    power[0, 7] = 1.0
+    around = _around(field_of(np.zeros((2, 13, 13)), "periodic"), power)
+    assert around[0, 6] == 0.0
+    assert around[0, 8] == around[1, 7] == 1.0
+
+
+def test_the_mean_is_no_neighbour() -> None:
+    """The mean is always light: its power does not vouch for the modes beside it."""
+    power = np.zeros((7, 7))
+    power[0, 0] = 1.0
+    assert not _around(field_of(np.zeros((2, 7, 7)), "even"), power).any()
+
+
+@pytest.mark.parametrize(("kind", "functions"), [("even", 7), ("periodic", 13)])
+def test_noise_counts_little_and_light_wholly(kind: str, functions: int) -> None:
+    """Pure noise keeps a small share of its power; modes 20 errors high keep nearly all of theirs."""
+    noise = NOISE.standard_normal((32, functions, functions))
+    shares = _share_of_first(field_of(noise, kind))
+    assert shares[0, 0] == 1.0
+    assert shares.ravel()[1:].mean() < 0.2
+    assert _share_of_first(field_of(noise + 20.0 / np.sqrt(32), kind)).min() > 0.99
+
+
+def test_folding_changes_little_but_the_noise() -> None:
+    """The same symmetric scene folded and not: mean equal within errors, and the folded field is not noisier."""
+    of = scene()
+    ramp = np.array([[1.0, 1.0 + 1e-9]])  # not symmetric by name, but in its light
+    whole = replace(of, emission=Emission(position=ramp))
+    assert of.symmetric
+    assert not whole.symmetric
+    one, other = (light_of(MonteCarlo(each, 3).run_to(8192), each) for each in (of, whole))
+    assert abs(one.mean - other.mean) < 4.0 * np.hypot(one.mean_error, other.mean_error)
+    x = np.linspace(-250.0, 250.0, 41)
+    errors = [f.line(x).std(axis=0, ddof=1).mean() for f in (one, other)]
+    assert errors[0] < errors[1]
