@@ -25,7 +25,6 @@ Real = NDArray[np.float64]
 EVENT_OF_EXIT, WAVE_OF_EXIT, WEIGHT_OF_EXIT, EXIT = 6, 7, 8, 9
 """A stored exit: position relative to the chip (um), direction, optical event, number of the wavelength, weight."""
 _SOBOL_KEY = np.uint64(0xFFFFFFFF)
-_LOW = np.uint64(0xFFFFFFFF)
 
 
 class Scratch(NamedTuple):
@@ -133,17 +132,8 @@ def land_group(
     stream, ray, trace, _, _ = scratch
     for number in range(rays.shape[0]):
         start(stream, seed, np.uint64(first + number) * np.uint64(groups) + np.uint64(group))
-        for i in range(EVENT_OF_EXIT):
-            ray[i] = rays[number, i]
-        ray[of.EVENT] = rays[number, EVENT_OF_EXIT]
-        length = 1.0 / sqrt(ray[of.DX] * ray[of.DX] + ray[of.DY] * ray[of.DY] + ray[of.DZ] * ray[of.DZ])
-        ray[of.DX], ray[of.DY], ray[of.DZ] = ray[of.DX] * length, ray[of.DY] * length, ray[of.DZ] * length
-        ray[of.CHIP_X], ray[of.CHIP_Y] = emission.centres_um[0, 0], emission.centres_um[0, 1]
-        if emission.chip_cumulative.size > 1:
-            u, _, _, _ = draw(stream, CHIP, 0)
-            _choose_chip(emission, u, ray)
-        ray[of.WEIGHT] = rays[number, WEIGHT_OF_EXIT] * (weights[number] if weights.size > 0 else 1.0)
-        wave, path = int(rays[number, WAVE_OF_EXIT]), clear_way(scene, ray)
+        wave = take_exit(emission, rays, weights, number, stream, ray)
+        path = clear_way(scene, ray)
         leave_chip(ray, sinks)
         if path > 0.0:
             ray[of.X] += path * ray[of.DX]
@@ -152,6 +142,29 @@ def land_group(
             if not receive(scene, wave, ray, stream, sinks, survival):
                 continue
         follow(scene, wave, ray, stream, sinks, survival, trace)
+
+
+@inlined_kernel
+def take_exit(
+    emission: EmissionArrays,
+    rays: NDArray[np.float32],
+    weights: NDArray[np.float32],
+    number: int,
+    stream: Stream,
+    ray: Real,
+) -> int:
+    """Put a stored exit into `ray`, position relative to the chip that it is given; the number of its wavelength."""
+    for i in range(EVENT_OF_EXIT):
+        ray[i] = rays[number, i]
+    ray[of.EVENT] = rays[number, EVENT_OF_EXIT]
+    length = 1.0 / sqrt(ray[of.DX] * ray[of.DX] + ray[of.DY] * ray[of.DY] + ray[of.DZ] * ray[of.DZ])
+    ray[of.DX], ray[of.DY], ray[of.DZ] = ray[of.DX] * length, ray[of.DY] * length, ray[of.DZ] * length
+    u = 0.0
+    if emission.chip_cumulative.size > 1:
+        u, _, _, _ = draw(stream, CHIP, 0)
+    _choose_chip(emission, u, ray)
+    ray[of.WEIGHT] = rays[number, WEIGHT_OF_EXIT] * (weights[number] if weights.size > 0 else 1.0)
+    return int(rays[number, WAVE_OF_EXIT])
 
 
 @borrowing_kernel

@@ -251,7 +251,7 @@ def receive(scene: SceneArrays, wave: int, ray: Real, stream: Stream, sinks: Sin
     if tilted:
         slope_x, slope_y = numbers[of.DISTANCE] * numbers[of.TILT_X], numbers[of.DISTANCE] * numbers[of.TILT_Y]
         cosine = (dz - slope_x * dx - slope_y * dy) / sqrt(1.0 + slope_x * slope_x + slope_y * slope_y)
-    seen = _response(scene, cosine)
+    seen = recorded_share(scene, cosine)
     if scene.flags[of.PERIODIC]:
         recorded_x -= numbers[of.SPACING] * floor(recorded_x / numbers[of.SPACING] + 0.5)
         recorded_y -= numbers[of.SPACING] * floor(recorded_y / numbers[of.SPACING] + 0.5)
@@ -330,7 +330,7 @@ def note_direction(directions: Real, which: int, dx: float, dy: float, dz: float
 
 
 @inlined_kernel
-def _response(scene: SceneArrays, cosine: float) -> float:
+def recorded_share(scene: SceneArrays, cosine: float) -> float:
     """Weight of recorded light at a cosine of incidence."""
     steps, tables = scene.flags[of.RESPONSE] - 1, scene.surfaces.tables
     node = min(int(cosine * steps), steps - 1)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import floor, sqrt
+from math import floor
 from typing import NamedTuple
 
 import numpy as np
@@ -16,12 +16,9 @@ from containers.ray_tracing.arrays import (
     DX,
     DY,
     DZ,
-    EVENT,
     PERIODIC,
     RECEIVER,
     RECEIVER_END,
-    RESPONSE,
-    RESPONSE_AT,
     SPACING,
     WEIGHT,
     EmissionArrays,
@@ -32,10 +29,10 @@ from containers.ray_tracing.arrays import (
     Z,
 )
 from containers.ray_tracing.chip import OUT, walk_chip
-from containers.ray_tracing.kernel import EVENT_OF_EXIT, WAVE_OF_EXIT, WEIGHT_OF_EXIT, Scratch, leave_chip
-from containers.ray_tracing.module import INTO_CHIP, clear_way, walk_module
-from containers.ray_tracing.philox import CHIP, SUBSTRATE, Stream, draw, follow_up, start
+from containers.ray_tracing.kernel import Scratch, leave_chip, take_exit
+from containers.ray_tracing.module import INTO_CHIP, clear_way, recorded_share, walk_module
 from containers.ray_tracing.philox import RECEIVER as RECEIVER_KIND
+from containers.ray_tracing.philox import SUBSTRATE, Stream, follow_up, start
 from containers.ray_tracing.surfaces import REFLECTED, albedo, scatter
 
 Real = NDArray[np.float64]
@@ -77,19 +74,8 @@ def land_direct(
     scene = way.scene
     for number in range(rays.shape[0]):
         start(stream, seed, np.uint64(first + number) * np.uint64(groups) + np.uint64(group))
-        for i in range(EVENT_OF_EXIT):
-            ray[i] = rays[number, i]
-        ray[EVENT] = rays[number, EVENT_OF_EXIT]
-        length = 1.0 / sqrt(ray[DX] * ray[DX] + ray[DY] * ray[DY] + ray[DZ] * ray[DZ])
-        ray[DX], ray[DY], ray[DZ] = ray[DX] * length, ray[DY] * length, ray[DZ] * length
-        chip = 0
-        if emission.chip_cumulative.size > 1:
-            u, _, _, _ = draw(stream, CHIP, 0)
-            while chip < emission.chip_cumulative.size - 1 and u >= emission.chip_cumulative[chip]:
-                chip += 1
-        ray[CHIP_X], ray[CHIP_Y] = emission.centres_um[chip, 0], emission.centres_um[chip, 1]
-        ray[WEIGHT] = rays[number, WEIGHT_OF_EXIT] * (weights[number] if weights.size > 0 else 1.0)
-        wave, path = int(rays[number, WAVE_OF_EXIT]), clear_way(scene, ray)
+        wave = take_exit(emission, rays, weights, number, stream, ray)
+        path = clear_way(scene, ray)
         ray[X] += ray[CHIP_X] + path * ray[DX]
         ray[Y] += ray[CHIP_Y] + path * ray[DY]
         faintest = FAINTEST * ray[WEIGHT]
@@ -125,10 +111,7 @@ def _arrive(way: WayArrays, ray: Real, stream: Stream, bins: Real) -> None:
     weight = ray[WEIGHT] * way.kept ** float(stream[2 + SUBSTRATE])
     _deposit(bins, 0, way.box, x, y, weight)
     if bins.shape[0] > 1:
-        steps, tables = scene.flags[RESPONSE] - 1, scene.surfaces.tables
-        node = min(int(ray[DZ] * steps), steps - 1)
-        at = scene.flags[RESPONSE_AT] + node
-        seen = tables[at] + (ray[DZ] * steps - node) * (tables[at + 1] - tables[at])
+        seen = recorded_share(scene, ray[DZ])
         _deposit(bins, 1, way.box, x, y, weight * (seen - 1.0))
 
 
