@@ -122,6 +122,7 @@ def launched(
     groups: int = 1,
     seed: int = 1,
     unfold: bool | None = None,
+    fan: int = 1,
 ) -> Tally:
     """The tally of rays that start at positions (n, 3) relative to their chip, in directions (n, 3), n in all groups.
 
@@ -138,7 +139,7 @@ def launched(
         part = rays[group * share : (group + 1) * share]
         part.flags.writeable = False  # as stored exits are: kernels are compiled once
         land_group(
-            arrays, emission, np.uint64(seed), group, groups, 0, part, np.zeros(0, np.float32), 1.0,
+            arrays, emission, np.uint64(seed), group, groups, 0, part, np.zeros(0, np.float32), 1.0, fan,
             tally.sinks(group), scratch(),
         )  # fmt: skip
     tally.ledger[:, ENDS.index("emitted")] = share

@@ -31,10 +31,12 @@ from luxloop.errors import InputError
 Real = NDArray[np.float64]
 Single = NDArray[np.float32]
 
-VERSION = 2
+VERSION = 3
 """Of the walk inside the chip: another number makes other keys."""
 LANDING = 0x9E3779B97F4A7C15
 """Landing draws with the seed turned by this, so that it shares no number with the walk inside the chip."""
+FAN = 2
+"""As `MonteCarlo`'s; where the walk inside the chip is already paid for, more directions cost more than they bring."""
 
 
 @dataclass(frozen=True)
@@ -163,6 +165,7 @@ class Landing:
         *,
         groups: int = GROUPS,
         survival: float = SURVIVAL,
+        fan: int = FAN,
         threads: int | None = None,
         direction_bins: tuple[int, int] = (0, 0),
     ) -> None:
@@ -170,7 +173,7 @@ class Landing:
         self._exits_at = exits if callable(exits) else lambda _: exits
         self.tally = Tally.empty(scene, groups if callable(exits) else exits.ends.shape[0], direction_bins)
         self._arrays, self._emission = scene_arrays(scene), emission_arrays(scene)
-        self._survival = survival
+        self._survival, self._fan = survival, fan
         self._threads = threads or usable_threads()
 
     def run_to(self, histories: int, report: Callable[[float], None] | None = None) -> Tally:
@@ -196,7 +199,7 @@ class Landing:
         weights = exits.weights if exits.weights is None else exits.weights[own]
         land_group(
             self._arrays, self._emission, np.uint64(self.seed ^ LANDING), group, self.tally.groups, begin,
-            exits.rays[own], np.zeros(0, np.float32) if weights is None else weights, self._survival,
+            exits.rays[own], np.zeros(0, np.float32) if weights is None else weights, self._survival, self._fan,
             self.tally.sinks(group), scratch(),
         )  # fmt: skip
         self.tally.ledger[group] += exits.ledger[group, blocks.start : blocks.stop].sum(axis=0)

@@ -59,6 +59,7 @@ def trace_group(
     count: int,
     sobol: bool,
     survival: float,
+    fan: int,
     directions: NDArray[np.uint64],
     sinks: Sinks,
     scratch: Scratch,
@@ -72,7 +73,7 @@ def trace_group(
         if not scene.flags[of.FROM_TOP] and walk_chip(scene, wave, ray, stream, sinks.ledger, trace) != OUT:
             continue
         leave_chip(ray, sinks)
-        follow(scene, wave, ray, stream, sinks, survival, trace)
+        follow(scene, wave, ray, stream, sinks, survival, fan, trace)
 
 
 @borrowing_kernel
@@ -105,6 +106,7 @@ def exits_of_group(
             rays[found, i] = ray[i]
         rays[found, EVENT_OF_EXIT], rays[found, WAVE_OF_EXIT] = ray[of.EVENT], wave
         rays[found, WEIGHT_OF_EXIT] = ray[of.WEIGHT]
+        ledger[of.ROULETTE_END] += rays[found, WEIGHT_OF_EXIT] - ray[of.WEIGHT]  # what single precision made of it
         for i in range(notes.shape[1]):
             notes[found, i] = trace[i]
         found += 1
@@ -122,6 +124,7 @@ def land_group(
     rays: NDArray[np.float32],
     weights: NDArray[np.float32],
     survival: float,
+    fan: int,
     sinks: Sinks,
     scratch: Scratch,
 ) -> None:
@@ -139,9 +142,9 @@ def land_group(
             ray[of.X] += path * ray[of.DX]
             ray[of.Y] += path * ray[of.DY]
             ray[of.Z] = scene.numbers[of.DISTANCE]
-            if not receive(scene, wave, ray, stream, sinks, survival):
+            if not receive(scene, wave, ray, stream, sinks, survival, 1.0):
                 continue
-        follow(scene, wave, ray, stream, sinks, survival, trace)
+        follow(scene, wave, ray, stream, sinks, survival, fan, trace)
 
 
 @inlined_kernel
@@ -169,10 +172,10 @@ def take_exit(
 
 @borrowing_kernel
 def follow(
-    scene: SceneArrays, wave: int, ray: Real, stream: Stream, sinks: Sinks, survival: float, trace: Real
+    scene: SceneArrays, wave: int, ray: Real, stream: Stream, sinks: Sinks, survival: float, fan: int, trace: Real
 ) -> None:
     """Follow a ray outside the chips (module coordinates) until it ends."""
-    while walk_module(scene, wave, ray, stream, sinks, survival) == INTO_CHIP:
+    while walk_module(scene, wave, ray, stream, sinks, survival, fan) == INTO_CHIP:
         if walk_chip(scene, wave, ray, stream, sinks.ledger, trace) != OUT:
             return
         leave_chip(ray, sinks)

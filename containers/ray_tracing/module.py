@@ -21,7 +21,7 @@ from containers.ray_tracing.philox import ENTRY, PLATE, ROULETTE, Stream, draw, 
 from containers.ray_tracing.philox import RECEIVER as RECEIVER_KIND
 from containers.ray_tracing.philox import SUBSTRATE as SUBSTRATE_KIND
 from containers.ray_tracing.quick import cos_sin_turn, minus_log
-from containers.ray_tracing.surfaces import ABSORBED, REFLECTED, TRANSMITTED, albedo, scatter
+from containers.ray_tracing.surfaces import ABSORBED, REFLECTED, TRANSMITTED, albedo, lobe, plain_lobe, scatter
 
 Real = NDArray[np.float64]
 
@@ -36,9 +36,13 @@ _TOUCH_UM = 1e-9
 
 
 @borrowing_kernel
-def walk_module(scene: SceneArrays, wave: int, ray: Real, stream: Stream, sinks: Sinks, survival: float) -> int:
+def walk_module(
+    scene: SceneArrays, wave: int, ray: Real, stream: Stream, sinks: Sinks, survival: float, fan: int
+) -> int:
     """Follow a ray (module coordinates, outside all chips) until it goes INTO_CHIP (then relative to its centre) or
-    is LOST. What the receiver sends back goes on with probability `survival`, its weight raised to match."""
+    is LOST. What the receiver sends back goes on with probability `survival`, its weight raised to match; first light
+    that the substrate scatters is recorded as the mean of `fan` directions, one of which goes on."""
+    recorded = 1.0
     while True:
         what, path = _next(scene, ray)
         dx, dy, dz = ray[of.DX], ray[of.DY], ray[of.DZ]
@@ -47,10 +51,12 @@ def walk_module(scene: SceneArrays, wave: int, ray: Real, stream: Stream, sinks:
         ray[of.Z] += dz * path
         weight = ray[of.WEIGHT]
         if what == _RECEIVER:
-            if not receive(scene, wave, ray, stream, sinks, survival):
+            if not receive(scene, wave, ray, stream, sinks, survival, recorded):
                 return LOST
+            recorded = 1.0
         elif what == _SUBSTRATE:
             surfaces = scene.surfaces
+            recorded = _record_fan(scene, wave, ray, stream, sinks, fan)
             fate, dx, dy, dz = scatter(surfaces, of.SUBSTRATE, wave, 1.0, 1.0, dx, dy, dz, stream, SUBSTRATE_KIND)
             follow_up(stream, SUBSTRATE_KIND)
             if fate != REFLECTED:
@@ -58,6 +64,7 @@ def walk_module(scene: SceneArrays, wave: int, ray: Real, stream: Stream, sinks:
                 return LOST
             ray[of.Z], ray[of.DX], ray[of.DY], ray[of.DZ] = 0.0, dx, dy, dz
         elif what >= _CHIP_X:
+            recorded = 1.0
             fate = _enter(scene, wave, ray, stream, what)
             if fate == TRANSMITTED:
                 return INTO_CHIP
@@ -67,6 +74,38 @@ def walk_module(scene: SceneArrays, wave: int, ray: Real, stream: Stream, sinks:
         elif not _edge(scene, wave, ray, stream, sinks, what):
             sinks.ledger[of.EDGE_END] += weight
             return LOST
+        else:
+            recorded = 1.0
+
+
+@borrowing_kernel
+def _record_fan(scene: SceneArrays, wave: int, ray: Real, stream: Stream, sinks: Sinks, fan: int) -> float:
+    """Record what first light would leave on the receiver in all directions of a fan but the one that it takes.
+
+    Where it takes its draw (u, v) of the substrate's lobe, the others are those of a lattice shifted by it,
+    (u + j / fan, v + 5 j / fan) mod 1: each is as likely, together they are spread evenly. Those that reach the
+    receiver on their way are recorded with 1 / fan of the light; returned is the share left to record for the one
+    that goes on, where it reaches the receiver next. If a chip or an edge comes first, it stands for all like it.
+    """
+    sigma, reflectance = plain_lobe(scene.surfaces, of.SUBSTRATE)
+    if fan < 2 or sigma == 0.0 or ray[of.EVENT] == of.AFTER_RECEIVER:
+        return 1.0
+    x, y, z, dx, dy, dz = ray[of.X], ray[of.Y], ray[of.Z], ray[of.DX], ray[of.DY], ray[of.DZ]
+    _, u, v, _ = draw(stream, SUBSTRATE_KIND, 0)
+    weight = ray[of.WEIGHT] * reflectance / fan
+    ray[of.Z] = 0.0
+    for j in range(1, fan):
+        p, q = u + j / fan, v + 5.0 * j / fan
+        ray[of.DX], ray[of.DY], ray[of.DZ] = lobe(
+            sigma, dx, dy, -dz, p - floor(p), q - floor(q), stream, SUBSTRATE_KIND
+        )
+        what, path = _next(scene, ray)
+        if what == _RECEIVER:
+            ray[of.X], ray[of.Y] = x + path * ray[of.DX], y + path * ray[of.DY]
+            record_arrival(scene, ray, stream, sinks, weight)
+            ray[of.X], ray[of.Y] = x, y
+    ray[of.Z], ray[of.DX], ray[of.DY], ray[of.DZ] = z, dx, dy, dz
+    return 1.0 / fan
 
 
 @inlined_kernel
@@ -224,40 +263,47 @@ def clear_way(scene: SceneArrays, ray: Real) -> float:
 
 
 @inlined_kernel
-def receive(scene: SceneArrays, wave: int, ray: Real, stream: Stream, sinks: Sinks, survival: float) -> bool:
-    """Record an arrival at the receiver and send back what it reflects; False where the ray ends."""
-    numbers, weight = scene.numbers, ray[of.WEIGHT]
-    x, y, dx, dy, dz = ray[of.X], ray[of.Y], ray[of.DX], ray[of.DY], ray[of.DZ]
+def receive(
+    scene: SceneArrays, wave: int, ray: Real, stream: Stream, sinks: Sinks, survival: float, recorded: float
+) -> bool:
+    """Record `recorded` of an arrival at the receiver, send back what it reflects; False where the ray ends."""
+    numbers = scene.numbers
     if scene.flags[of.PERIODIC]:  # back into the cell around a chip
-        ray[of.X] = x = x - numbers[of.SPACING] * floor(x / numbers[of.SPACING] + 0.5)
-        ray[of.Y] = y = y - numbers[of.SPACING] * floor(y / numbers[of.SPACING] + 0.5)
+        ray[of.X] -= numbers[of.SPACING] * floor(ray[of.X] / numbers[of.SPACING] + 0.5)
+        ray[of.Y] -= numbers[of.SPACING] * floor(ray[of.Y] / numbers[of.SPACING] + 0.5)
     else:
-        ray[of.Z] = numbers[of.DISTANCE] * (1.0 + numbers[of.TILT_X] * x + numbers[of.TILT_Y] * y)
+        ray[of.Z] = numbers[of.DISTANCE] * (1.0 + numbers[of.TILT_X] * ray[of.X] + numbers[of.TILT_Y] * ray[of.Y])
+    record_arrival(scene, ray, stream, sinks, ray[of.WEIGHT] * recorded)
+    ray[of.EVENT] = of.AFTER_RECEIVER
     tilted = numbers[of.TILT_X] != 0.0 or numbers[of.TILT_Y] != 0.0
+    return _send_back(scene, wave, ray, stream, sinks, survival, tilted)
+
+
+@inlined_kernel
+def record_arrival(scene: SceneArrays, ray: Real, stream: Stream, sinks: Sinks, weight: float) -> None:
+    """Record that a weight arrives where the ray meets the receiver: its optical event, its direction, its bin."""
+    numbers = scene.numbers
+    x, y, dx, dy, dz = ray[of.X], ray[of.Y], ray[of.DX], ray[of.DY], ray[of.DZ]
     event = int(ray[of.EVENT])
     sinks.arrivals[event] += weight
     later = 1 if event == of.AFTER_RECEIVER else 0
     if later == 0 and sinks.directions.shape[1] > 0:
         note_direction(sinks.directions, 1, dx, dy, dz, weight)
-    recorded_x, recorded_y = x, y
     if numbers[of.SPREAD_SHARE] > 0.0:
         a, b, c, _ = draw(stream, PLATE, 0)
         follow_up(stream, PLATE)
         if a < numbers[of.SPREAD_SHARE]:
             shift = numbers[of.SPREAD_SIGMA] * sqrt(2.0 * minus_log(b))
             across, along = cos_sin_turn(c)
-            recorded_x, recorded_y = x + shift * across, y + shift * along
+            x, y = x + shift * across, y + shift * along
     cosine = dz
-    if tilted:
+    if numbers[of.TILT_X] != 0.0 or numbers[of.TILT_Y] != 0.0:
         slope_x, slope_y = numbers[of.DISTANCE] * numbers[of.TILT_X], numbers[of.DISTANCE] * numbers[of.TILT_Y]
         cosine = (dz - slope_x * dx - slope_y * dy) / sqrt(1.0 + slope_x * slope_x + slope_y * slope_y)
-    seen = recorded_share(scene, cosine)
     if scene.flags[of.PERIODIC]:
-        recorded_x -= numbers[of.SPACING] * floor(recorded_x / numbers[of.SPACING] + 0.5)
-        recorded_y -= numbers[of.SPACING] * floor(recorded_y / numbers[of.SPACING] + 0.5)
-    _record(sinks, later, recorded_x, recorded_y, weight * seen)
-    ray[of.EVENT] = of.AFTER_RECEIVER
-    return _send_back(scene, wave, ray, stream, sinks, survival, tilted)
+        x -= numbers[of.SPACING] * floor(x / numbers[of.SPACING] + 0.5)
+        y -= numbers[of.SPACING] * floor(y / numbers[of.SPACING] + 0.5)
+    _record(sinks, later, x, y, weight * recorded_share(scene, cosine))
 
 
 @inlined_kernel

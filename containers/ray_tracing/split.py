@@ -94,7 +94,7 @@ def _split_history(
             ray[of.EVENT] = float(of.THROUGH_TOP)
             _leave(ray, x + dx * at, y + dy * at, height, dx, dy, going, half, n, axis, topped or at > top_at)
             leave_chip(ray, sinks)
-            follow(scene, wave, ray, stream, sinks, survival, trace)
+            follow(scene, wave, ray, stream, sinks, survival, 1, trace)
         weight, topped = _dim(weight * stays, alpha * bottom_at, ledger), topped or dz > 0.0
         x, y, z = x + dx * bottom_at, y + dy * bottom_at, 0.0
         what, dx, dy, dz = _bottom(surfaces, scene.flags[of.AIR_GAP] == 1, wave, n, dx, dy, -abs(dz), stream)

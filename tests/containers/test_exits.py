@@ -226,7 +226,7 @@ def test_the_weight_of_an_exit_is_that_of_its_light() -> None:
     """Stored and landed in single precision: what arrives first is what left, less what the module took."""
     of = with_chip(scene(receiver=lambertian_receiver(0.0), substrate=GaussianLobe(1.0, 0.1)), absorption_per_um=0.01)
     exits = make_exits(of, 1, BLOCK)
-    tally = landed(of, exits)
+    tally = landed(of, exits, fan=1)
     left = exits.rays[:, 8].astype(float).sum() / (GROUPS * BLOCK)
     into_chips = tally.ledger_per_history["chip"] - exits.ledger.sum(axis=(0, 1))[0] / (GROUPS * BLOCK)
     assert illuminance(tally).mean() == pytest.approx(left - into_chips + tally.ledger_per_history["roulette"]

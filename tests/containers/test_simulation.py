@@ -101,7 +101,7 @@ def test_light_is_conserved() -> None:
 
 
 def test_illuminance_is_what_arrives() -> None:
-    """Mean lux = arrivals x flux x lm/W / area of the cell, in map and metric; the efficiency is 0.65 of it."""
+    """Mean lux = arrivals x flux x lm/W / area of the cell, in map and metric; the receiver takes 0.65 of it."""
     result, arrays = plain()
     environment = Environment()
     arrivals = sum(result["optical_events"][name]["value"] for name in EVENTS)
@@ -109,7 +109,8 @@ def test_illuminance_is_what_arrives() -> None:
     lux = arrivals * lm / 500e-6**2
     assert result["metrics"]["mean_illuminance_lx"]["value"] == pytest.approx(lux, rel=1e-9)
     assert arrays["map_lx"].mean() == pytest.approx(lux, rel=1e-6)
-    assert result["metrics"]["optical_efficiency"]["value"] == pytest.approx(0.65 * arrivals, rel=1e-9)
+    taken = result["metrics"]["optical_efficiency"]  # of the rays themselves, arrivals are those of their fans
+    assert abs(taken["value"] - 0.65 * arrivals) < 3.0 * taken["standard_error"] < 0.02
 
 
 def test_the_map_of_a_cell_has_the_symmetries_of_the_square() -> None:

@@ -94,7 +94,7 @@ def reaches_receiver(scene: SceneArrays, wave: int, ray: Real, stream: Stream, s
     """Follow a ray outside the chips to the (black) receiver; False where it ends elsewhere."""
     while True:
         sinks.ledger[RECEIVER_END] = 0.0
-        if walk_module(scene, wave, ray, stream, sinks, 0.0) != INTO_CHIP:
+        if walk_module(scene, wave, ray, stream, sinks, 0.0, 1) != INTO_CHIP:
             return bool(sinks.ledger[RECEIVER_END] > 0.0)
         if walk_chip(scene, wave, ray, stream, sinks.ledger, trace) != OUT:
             return False
