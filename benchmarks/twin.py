@@ -170,7 +170,7 @@ def derivatives(names: tuple[str, ...] = tuple(COLUMNS)) -> None:
             column = COLUMNS[name]
             (up, _), (down, _) = column.stencil(scene)[-2:]
             ends = [column.move(scene, amount) for amount in (up, down)]
-            twin = np.subtract(*[cell_field(s, supply.of(s)).coefficients for s in ends])
+            twin = np.subtract(*[cell_field(s, supply.of(s, scene)).coefficients for s in ends])
             long = []
             for s in ends:
                 tally = Landing(s, make_exits(s, 21, 64 * BLOCK), 5, survival=1.0).run_to(64 * BLOCK)

@@ -53,6 +53,8 @@ def _head(document: Mapping[str, Any]) -> Iterator[str]:
         module = f"{array['rows']} x {array['columns']} chips, {edge}"
     yield f"{lengths} um, {document['design']['dbr_pairs']:g} pairs; {module}; model {document['model']['name']!r}"
     yield document["region"]
+    for warning in document.get("warnings", ()):
+        yield f"WARNING: {warning}"
 
 
 def _metrics(document: Mapping[str, Any]) -> Iterator[str]:

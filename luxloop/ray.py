@@ -14,7 +14,7 @@ from luxloop.design import Design
 from luxloop.effect import AppliedEffect
 from luxloop.errors import InputError
 from luxloop.model import Environment, Fraction
-from luxloop.words import Sha256, Words
+from luxloop.words import Name, Sha256, Words
 
 KIND = "ray"
 
@@ -42,16 +42,21 @@ class ChipArray(Words):
     offset_um: tuple[tuple[Offset, Offset], ...] = Field((), max_length=10_000, description="x, y of each chip.")
 
 
-class RayRequest(Words):
-    """A design in an environment, solved up to a count of histories or up to an error of its uniformity."""
-
-    KIND: ClassVar[str] = KIND
+class Module(Words):
+    """A design in an environment, as a scene is built from it."""
 
     environment: Environment
     design: Design
     film: Film | None = Field(None, description="Of the design's DBR; none: no pairs.")
     effects: tuple[AppliedEffect, ...] = Field((), max_length=64)
     array: ChipArray | None = Field(None, description="A finite module; none: chips without end.")
+
+
+class RayRequest(Module):
+    """A design in an environment, solved up to a count of histories or up to an error of its uniformity."""
+
+    KIND: ClassVar[str] = KIND
+
     method: Literal["monte_carlo", "twin"] = "monte_carlo"
     histories: int | None = Field(None, ge=1, le=10**11, description="At least so many.")
     target_error_points: float | None = Field(None, ge=1e-3, le=100.0, description="Of U; 1 point is 0.01.")
@@ -71,3 +76,31 @@ class RayRequest(Words):
                 "histories", self.histories, "a count, or else target_error_points", "give one of the two"
             )
         return self
+
+
+class ShotRequest(Module):
+    """A finite module, and the camera whose image of it is predicted."""
+
+    camera: Camera = Field(Camera(), description="What it does before its gain; its sensor has no part in this.")
+
+
+class AnchorRequest(Words):
+    """Where Monte Carlo is run, so that the twin is asked for differences only."""
+
+    shots: tuple[ShotRequest, ...] = Field((), max_length=64, description="One for each; none: the wanted ones.")
+    histories: int = Field(ge=1, le=10**9, description="At least so many for each module.")
+    seed: Seed = "1"
+    stored_exits: bool = Field(False, description="Land stored exits instead of full histories.")
+
+
+class PredictionRequest(Words):
+    """What cameras see of finite modules, by the twin, and how that changes; `task` tells it from a simulation."""
+
+    KIND: ClassVar[str] = KIND
+
+    task: Literal["prediction"] = "prediction"
+    shots: tuple[ShotRequest, ...] = Field(min_length=1, max_length=64, description="Images of one size.")
+    columns: tuple[Name, ...] = Field((), max_length=64, description="Parameters to differentiate by.")
+    anchor: AnchorRequest | None = None
+    exit_histories: int = Field(131_072, ge=1, le=524_288, description="Whose exits the twin lands.")
+    exit_seed: Seed = Field("1", description="Of the walk inside the chip.")

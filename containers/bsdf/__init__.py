@@ -8,7 +8,7 @@
 Whatever the kind, each sample carries weight = albedo(theta_in), so nothing is lost or made by sampling.
 """
 
-from containers.bsdf.checks import check_energy, reciprocity_defect, symmetrised, transmission_defect
+from containers.bsdf.checks import check_energy, one_way_share, reciprocity_defect, symmetrised, transmission_defect
 from containers.bsdf.lobes import GaussianLobe, Lambertian
 from containers.bsdf.mixture import Coated, Mixture
 from containers.bsdf.specular import Fresnel, Mirror, SpecularTable
@@ -29,6 +29,7 @@ __all__ = [
     "Tabulated",
     "check_energy",
     "direction_of",
+    "one_way_share",
     "reciprocity_defect",
     "symmetrised",
     "tabulate",

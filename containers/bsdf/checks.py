@@ -7,9 +7,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from containers.bsdf.surface import Bsdf, checked_angle, direction_of
+from containers.bsdf.mixture import Coated
+from containers.bsdf.surface import HALF_PI, Bsdf, Real, checked_angle, direction_of
 from containers.bsdf.tabulated import ENERGY_TOLERANCE, Tabulated
 from luxloop.errors import InputError
+
+MOST_CELLS = 45
+"""Rings of theta_out, and sectors of phi_out, that one reciprocity check looks at."""
 
 
 def reciprocity_defect(
@@ -39,6 +43,45 @@ def reciprocity_defect(
     )
     largest = float(there.max())
     return float(np.abs(there - back.swapaxes(0, 1)).max()) / largest if largest > 0.0 else 0.0
+
+
+def one_way_share(bsdf: Bsdf) -> float:
+    """Share of the light that goes from a to b by reflection but would not go from b to a, over all pairs (a, b).
+
+    Notes
+    -----
+    sum |f(a -> b) - f(b -> a)| / 2 sum f, each pair by its projected solid angles: 0 for a reciprocal surface, 1 at
+    most. A table is asked at the centres of its own cells, every n-th where it has more than `MOST_CELLS` rings or
+    sectors, anything else at those of 2 deg x 6 deg. A table of a reciprocal surface has a small share too, of what
+    it holds constant in a cell. Delta parts and transmission are left out (`transmission_defect`).
+    """
+    theta, ring, phi, sector = _cells_of(bsdf)
+    shape = theta.size, theta.size, phi.size, 3
+    there, back = (
+        bsdf.evaluate(theta[:, None, None], np.broadcast_to(direction_of(theta[:, None], sign * phi), shape))
+        for sign in (1.0, -1.0)  # exchanging the directions turns phi into -phi
+    )
+    weight = ring[:, None, None] * ring[:, None] * sector
+    lost = float((np.abs(there - back.swapaxes(0, 1)) * weight).sum())
+    total = float(((there + back) * weight).sum())
+    return lost / total if total > 0.0 else 0.0
+
+
+def _cells_of(bsdf: Bsdf) -> tuple[Real, Real, Real, Real]:
+    """Centres theta_out and sizes in sin^2 theta of reflection, centres and sizes in phi_out."""
+    if isinstance(bsdf, Coated):
+        return _cells_of(bsdf.base)
+    theta, phi = np.linspace(0.0, HALF_PI, 46), np.linspace(0.0, np.pi, 31)
+    if isinstance(bsdf, Tabulated):
+        theta, phi = bsdf.theta_out_edges_rad, bsdf.phi_out_edges_rad
+        theta = theta[theta < HALF_PI * (1.0 + 1e-9)]
+    steps = (slice(None, None, -(-(edges.size - 1) // MOST_CELLS)) for edges in (theta, phi))
+    sizes = np.diff(np.sin(theta) ** 2), np.diff(phi)
+    centres = ((edges[1:] + edges[:-1]) / 2.0 for edges in (theta, phi))
+    (theta, ring), (phi, sector) = (
+        (centre[step], size[step]) for centre, size, step in zip(centres, sizes, steps, strict=True)
+    )
+    return theta, ring, phi, sector
 
 
 def transmission_defect(front: Bsdf, back: Bsdf, theta_rad: ArrayLike) -> float:

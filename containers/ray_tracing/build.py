@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -94,7 +96,11 @@ def emission_of(environment: Environment) -> Emission:
 
 
 class _Line:
-    """The wavelengths of a scene, and what its chip and film are at each of them."""
+    """The wavelengths of a scene, and what its chip and film are at each of them.
+
+    They are those of the film's table. Without a film there is the peak alone, be the spectrum sampled or not: all
+    lines of dispersive GaN move the mean illuminance of S_b3 by 0.03 %.
+    """
 
     def __init__(self, environment: Environment, film: FilmTable | None) -> None:
         self._film = film
@@ -115,26 +121,36 @@ class _Line:
     def film_from(self, side: Side) -> tuple[Bsdf, ...]:
         """The film from one side, mean of s and p: of the whole line, or at each wavelength.
 
-        Powers are computed at the very nodes that the kernels interpolate between. Refracted light leaves by the
-        chip's index; what other wavelengths would send through beyond the critical angle is reflected.
+        In a scene of one wavelength the chip has one index, so the film lies on that index at every wavelength of the
+        line: light comes and goes by the same angles, and T is the same from both sides.
         """
         film = self._film
         if film is None:
             raise ValueError("a film's faces without a film")
         if not self._sampled:
-            theta = np.sort(node_angles(float(self.index[0]), side == "inside"))
-            powers = powers_at(film, side, theta)
-            R, T = (np.tensordot(film.weight, power.mean(axis=1), axes=1) for power in (powers.R, powers.T))
-            return (_specular(theta, R, T, float(self.index[0]), side),)
-        faces = []
-        for wave, n in enumerate(self.index):
-            theta = np.sort(node_angles(float(n), side == "inside"))
-            powers = powers_at(film, side, theta)
-            faces.append(_specular(theta, powers.R[wave].mean(axis=0), powers.T[wave].mean(axis=0), float(n), side))
-        return tuple(faces)
+            of_line = replace(film, n_inside=np.full(film.n_inside.shape, self.index[0]))
+            return (_specular(of_line, float(self.index[0]), side),)
+        return tuple(_specular(_at(film, wave), float(n), side) for wave, n in enumerate(self.index))
 
 
-def _specular(theta: Real, R: Real, T: Real, n: float, side: Side) -> SpecularTable:
-    distinct = np.concatenate([[True], np.diff(theta) > 0.0])
-    ratio = n / AIR if side == "inside" else AIR / n
-    return SpecularTable(theta[distinct], np.clip(R[distinct], 0.0, 1.0), np.clip(T[distinct], 0.0, 1.0), ratio)
+def _at(film: FilmTable, wave: int) -> FilmTable:
+    """What `powers_at` reads of a film, at one of its wavelengths."""
+    one = slice(wave, wave + 1)
+    return replace(
+        film,
+        wavelength_nm=film.wavelength_nm[one],
+        weight=np.ones(1),
+        n_inside=film.n_inside[one],
+        n_outside=film.n_outside[one],
+    )
+
+
+def _specular(film: FilmTable, n: float, side: Side) -> SpecularTable:
+    """The powers of a film on a chip of index n, from one side: mean of its wavelengths, and of s and p.
+
+    They are computed at the very nodes that the kernels interpolate between.
+    """
+    theta = np.unique(node_angles(n, side == "inside"))
+    powers = powers_at(film, side, theta)
+    R, T = (np.clip(np.tensordot(film.weight, of.mean(axis=1), axes=1), 0.0, 1.0) for of in (powers.R, powers.T))
+    return SpecularTable(theta, R, T, n / AIR if side == "inside" else AIR / n)

@@ -36,7 +36,7 @@ VERSION = 3
 LANDING = 0x9E3779B97F4A7C15
 """Landing draws with the seed turned by this, so that it shares no number with the walk inside the chip."""
 FAN = 2
-"""As `MonteCarlo`'s; where the walk inside the chip is already paid for, more directions cost more than they bring."""
+"""As `MonteCarlo` has it; where the walk inside the chip is paid for already, more cost more than they bring."""
 
 
 @dataclass(frozen=True)

@@ -56,7 +56,7 @@ def walk_module(
             recorded = 1.0
         elif what == _SUBSTRATE:
             surfaces = scene.surfaces
-            recorded = _record_fan(scene, wave, ray, stream, sinks, fan)
+            recorded = _record_fan(scene, ray, stream, sinks, fan)
             fate, dx, dy, dz = scatter(surfaces, of.SUBSTRATE, wave, 1.0, 1.0, dx, dy, dz, stream, SUBSTRATE_KIND)
             follow_up(stream, SUBSTRATE_KIND)
             if fate != REFLECTED:
@@ -79,7 +79,7 @@ def walk_module(
 
 
 @borrowing_kernel
-def _record_fan(scene: SceneArrays, wave: int, ray: Real, stream: Stream, sinks: Sinks, fan: int) -> float:
+def _record_fan(scene: SceneArrays, ray: Real, stream: Stream, sinks: Sinks, fan: int) -> float:
     """Record what first light would leave on the receiver in all directions of a fan but the one that it takes.
 
     Where it takes its draw (u, v) of the substrate's lobe, the others are those of a lattice shifted by it,

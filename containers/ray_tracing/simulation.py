@@ -22,12 +22,13 @@ from containers.ray_tracing.twin.cell import cell_field
 from containers.ray_tracing.twin.module import ModuleTwin
 from containers.ray_tracing.uniformity import uniformity
 from containers.scene import Array, Cell, Scene
+from containers.scene_checks import scene_warnings
 from containers.stack import dbr_of
 from containers.thin_film.table import FilmTable
 from luxloop.computation import Progress
 from luxloop.errors import InputError
 from luxloop.film import Spectrum
-from luxloop.ray import RayRequest
+from luxloop.ray import Module, RayRequest
 
 DIRECTION_BINS = (128, 64)
 """Of the far field: cosine of theta over the whole sphere, azimuth."""
@@ -50,12 +51,14 @@ def simulate(
 
     Raises
     ------
-    InputError : a design that cannot be built, a film that is not the design's, a target over its budget, too few
-        histories, pixels beyond the receiver.
+    InputError : a design that cannot be built, a film that is not the design's, a table that creates energy, a target
+        over its budget, too few histories, pixels beyond the receiver.
     Stopped : cancelled.
 
     Notes
     -----
+    `warnings` of the document are of the scene's surfaces (`scene_warnings`).
+
     Arrays: `map_lx`, `map_error_lx` (y, x); `cut_x_um`, `cut_lx`, `cut_error_lx`; with `far_field` those of
     `outcome.far_fields`; `image_K`, `image_error_K` (row, column) in DN of camera K; with `exit_histories` the rays
     that leave a chip, x and y about its centre, z from the substrate: `ray_position_um`, `ray_direction` (ray, 3),
@@ -64,14 +67,28 @@ def simulate(
     refuse_too_many(request.images)
     refuse_other_film(request, film)
     scene = scene_of(request.environment, request.design, film, layout_of(request))
+    return simulate_scene(request, scene, film, source, progress, threads)
+
+
+def simulate_scene(
+    request: RayRequest,
+    scene: Scene,
+    film: FilmTable | None,
+    source: ExitSource,
+    progress: Progress,
+    threads: int | None = None,
+) -> tuple[Document, Arrays]:
+    """`simulate` of a scene that is already made: how it is solved, and what is answered, is the request's."""
+    warnings = scene_warnings(scene)
     if request.method == "twin":
         found = _twin(request, scene, progress, threads)
     else:
-        solver = _solver(request, scene, source, threads)
+        solver = solver_of(request, scene, source, threads)
         _solve(request, scene, solver, progress)
         found = solved(scene, solver.tally)
     result, arrays = outcome(found, request.environment, request.map_bins)
     result |= {name: getattr(request, name) for name in ("method", "seed", "stored_exits")}
+    result["warnings"] = list(warnings)
     if request.far_field:
         result["far_field"], more = far_fields(found, fold=scene.symmetric)
         result["far_field"]["eightfold"] = scene.symmetric
@@ -88,7 +105,7 @@ def simulate(
     return result, arrays
 
 
-def layout_of(request: RayRequest) -> Cell | Array:
+def layout_of(request: Module) -> Cell | Array:
     """The endless or finite array of a request. Raises InputError where its chips do not fit the module."""
     asked = request.array
     if asked is None:
@@ -106,7 +123,7 @@ def layout_of(request: RayRequest) -> Cell | Array:
     )
 
 
-def refuse_other_film(request: RayRequest, film: FilmTable | None) -> None:
+def refuse_other_film(request: Module, film: FilmTable | None) -> None:
     """InputError where a film is missing, is not the DBR of the request's design, or is not resolved."""
     pairs, environment, mend = (
         request.design.dbr_pairs,
@@ -138,7 +155,8 @@ def _twin(request: RayRequest, scene: Scene, progress: Progress, threads: int | 
     return Solved(scene, None, ModuleTwin(scene, exits, groups=GROUPS, threads=threads).field(), region_of(scene))
 
 
-def _solver(request: RayRequest, scene: Scene, source: ExitSource, threads: int | None) -> Solver:
+def solver_of(request: RayRequest, scene: Scene, source: ExitSource, threads: int | None) -> Solver:
+    """Monte Carlo as a request wants it: full histories, or stored exits."""
     seed, directions = int(request.seed), DIRECTION_BINS if request.far_field else (0, 0)
     if request.stored_exits:
         batches = source.batches(scene, int(request.exit_seed))

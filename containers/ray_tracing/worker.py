@@ -10,7 +10,9 @@ from typing import Any
 from containers.known_effects import refuse_unknown
 from containers.ray_tracing.exit_source import ExitSource
 from containers.ray_tracing.monte_carlo import usable_threads
+from containers.ray_tracing.predictor import Predictor
 from containers.ray_tracing.simulation import simulate
+from containers.ray_tracing.twin.columns import COLUMNS
 from containers.stack import dbr_of
 from containers.thin_film.packing import unpack
 from containers.thin_film.table import FilmTable, film_table
@@ -22,7 +24,7 @@ from luxloop.errors import InputError, RemoteError
 from luxloop.failure import Failure
 from luxloop.film import Grid, Spectrum
 from luxloop.model import Environment
-from luxloop.ray import KIND, ChipArray, Film, RayRequest
+from luxloop.ray import KIND, ChipArray, Film, PredictionRequest, RayRequest
 from luxloop.words import parse
 
 Fetch = Callable[[str, int], bytes]
@@ -42,23 +44,38 @@ class RayComputation:
 
     def __init__(self, fetch: Fetch, source: ExitSource, threads: int | None = None) -> None:
         self._fetch, self._source, self._threads = fetch, source, threads
+        self._predictor = Predictor(source, threads)
         self._films: OrderedDict[str, FilmTable] = OrderedDict()
 
     def catalogue(self) -> dict[str, Any]:
         """What can be asked, and which effects are known."""
-        return {"methods": ["monte_carlo", "twin"], "effects": []}
+        return {
+            "tasks": ["simulation", "prediction"],
+            "methods": ["monte_carlo", "twin"],
+            "columns": list(COLUMNS),
+            "effects": [],
+        }
 
     def blob(self, sha256: str) -> bytes | None:  # noqa: ARG002  # a worker's interface
         """None: what it sends lies in the store of what was sent."""
         return None
 
     def compute(self, inputs: dict[str, Any], progress: Progress) -> tuple[dict[str, Any], Mapping[str, Array]]:
-        """The answer to a `RayRequest`."""
+        """The answer to a `RayRequest`, or to a `PredictionRequest` where `task` says so."""
+        if "task" in inputs:
+            return self._predict(inputs, progress)
         request = parse(RayRequest, inputs, "ray request")
         refuse_unknown(request.effects, "ray-tracing")
         progress.report(0.0, str(request.design))
         film = None if request.film is None else self._film(request.film)
         return simulate(request, film, self._source, progress, self._threads)
+
+    def _predict(self, inputs: dict[str, Any], progress: Progress) -> tuple[dict[str, Any], Mapping[str, Array]]:
+        request = parse(PredictionRequest, inputs, "prediction request")
+        for shot in (*request.shots, *(request.anchor.shots if request.anchor is not None else ())):
+            refuse_unknown(shot.effects, "ray-tracing")
+        progress.report(0.0, "prediction")
+        return self._predictor.answer(request, self._film, progress)
 
     def _film(self, film: Film) -> FilmTable:
         """The table of that hash, of those held or from who has it; RemoteError not_found where nobody has."""

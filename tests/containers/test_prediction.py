@@ -42,8 +42,8 @@ def test_a_prediction_at_the_anchor_is_monte_carlo_itself(dim: tuple[Scene, Exit
     of = shots(case)
     fields = [ModuleTwin(shot.scene, exits, groups=8, seed=7).field() for shot in of]
     anchor = Anchor(of, fields, supply, blocks=1, shadow_rays=2048)
-    found = anchor.predict(of)
-    other = Anchor(of, fields, supply, blocks=2, shadow_rays=1024).predict(of)
+    found = anchor.predict(of, supply)
+    other = Anchor(of, fields, supply, blocks=2, shadow_rays=1024).predict(of, supply)
     np.testing.assert_allclose(found.images_per_mm2, other.images_per_mm2, rtol=1e-9)
     assert found.noise_per_mm2.shape == (8, 2, 16, 16)
     assert np.all(found.error_per_mm2 > 0.0)
@@ -63,7 +63,9 @@ def test_jacobian_columns_predict_small_changes(dim: tuple[Scene, Exits]) -> Non
         if column.name in ("width_um", "thickness_um", "substrate_sigma_rad"):
             continue  # other walks inside other chips: their noise is larger than this bound
         h = column.step(column.value(case)) / 2.0
-        moved = twin_images([Shot(column.move(shot.scene, h), shot.camera) for shot in of], supply, **options)
+        moved = twin_images(
+            [Shot(column.move(shot.scene, h), shot.camera, base=shot.scene) for shot in of], supply, **options
+        )
         expected = h * found[number]
         bound = 0.4 if column.name in ("distance_um", "spacing_um") else 0.1
         assert np.sqrt(np.mean((moved - base - expected) ** 2)) < bound * np.sqrt(np.mean(expected**2)), column.name

@@ -19,6 +19,7 @@ from containers.ray_tracing.worker import RayComputation, wanted_threads
 from containers.stack import dbr_of
 from containers.thin_film.packing import pack, unpack
 from containers.thin_film.table import FilmTable, film_table
+from luxloop.bus.frame import INLINE_BYTES
 from luxloop.client import Client
 from luxloop.computation import Progress
 from luxloop.effect import AppliedEffect
@@ -26,7 +27,7 @@ from luxloop.errors import InputError, RemoteError
 from luxloop.failure import Failure
 from luxloop.film import FilmTableRequest, Grid, Spectrum
 from luxloop.model import Environment
-from luxloop.ray import RayRequest
+from luxloop.ray import PredictionRequest, RayRequest
 from luxloop.settings import Settings
 from luxloop.words import parse
 
@@ -158,6 +159,41 @@ def test_film_and_rays_over_zenoh(both: Client) -> None:
     assert answer.arrays.keys() == arrays.keys()
     for name, array in arrays.items():
         np.testing.assert_array_equal(answer.arrays[name], array)
+
+
+def prediction(**changes: Any) -> PredictionRequest:
+    """Two cameras in front of nine chips that absorb, about an anchor, or what is changed in it."""
+    shot = {
+        "environment": {"chip_absorption_per_cm": 200.0},
+        "design": DESIGN | {"dbr_pairs": 0.0},
+        "array": {"rows": 3, "columns": 3},
+        "camera": {"rows": 128, "columns": 128},
+    }
+    shots = [shot, shot | {"camera": shot["camera"] | {"psf_um": 20.0}}]
+    wanted = {"shots": shots, "columns": ["receiver_reflectance"], "anchor": {"histories": 1}, "exit_histories": 1}
+    return parse(PredictionRequest, wanted | changes)
+
+
+def test_a_prediction_over_zenoh(both: Client) -> None:
+    """Images, noise and Jacobian come as arrays, large ones by their hash, to the bit what this process computes."""
+    asked = prediction()
+    answer = both.run(asked)
+    computation = RayComputation(Shelf().fetch, ExitSource(threads=1), 1)
+    result, arrays = computation.compute(json.loads(asked.model_dump_json()), Progress())
+    assert json.loads(json.dumps(answer.result)) == json.loads(json.dumps(result))
+    assert answer.arrays["noise_per_mm2"].nbytes > INLINE_BYTES
+    assert answer.arrays.keys() == arrays.keys() == {"images_per_mm2", "jacobian_per_mm2", "noise_per_mm2"}
+    for name, array in arrays.items():
+        assert answer.arrays[name].dtype == array.dtype
+        np.testing.assert_array_equal(answer.arrays[name], array)
+    with pytest.raises(RemoteError) as caught:
+        both.run(prediction(columns=["colour"]))
+    failure = caught.value.failure
+    assert (failure.code, failure.field) == ("bad_input", "columns.0")
+    assert "receiver_reflectance" in failure.allowed
+    again = both.run(asked, fresh=True)
+    for name, array in arrays.items():
+        np.testing.assert_array_equal(again.arrays[name], array)
 
 
 def test_bad_input_over_zenoh_comes_back_typed_and_the_worker_goes_on(both: Client) -> None:

@@ -30,7 +30,7 @@ from luxloop.failure import Failure
 from luxloop.film import FilmTableRequest
 from luxloop.messages import Task
 from luxloop.model import Environment
-from luxloop.model_file import find_model
+from luxloop.model_file import find_model, to_toml
 from luxloop.photometry import luminous_efficacy_lm_per_w
 from luxloop.ray import RayRequest
 
@@ -160,6 +160,20 @@ def test_a_preset_is_simulated_with_its_film(simulated: Run, workers: Set) -> No
     assert document["model"] == {"name": "paper", "sha256": find_model("paper").sha256}
     assert document["metrics"]["uniformity"]["standard_error"] > 0.0
     assert document["histories"] == HISTORIES
+
+
+def test_a_model_file_may_ask_for_a_wavelength_per_history(simulated: Run, workers: Set, tmp_path: Path) -> None:
+    """`spectrum = sampled` goes from the file to PC3; the light is another, its ledger closed, nothing warned of."""
+    paper = find_model("paper")
+    sampled = paper.environment.model_copy(update={"spectrum": "sampled"})
+    file = tmp_path / "sampled.toml"
+    file.write_text(to_toml(paper.model_copy(update={"environment": sampled})))
+    found, averaged = simulated(preset="S_b3", model=str(file)), simulated(preset="S_b3")
+    assert workers.asked[1].environment.spectrum == "sampled"
+    assert found["metrics"] != averaged["metrics"]
+    assert found["film"]["sha256"] == averaged["film"]["sha256"]
+    assert abs(found["ledger_defect"]) < 1e-12
+    assert found["warnings"] == []
 
 
 def test_without_pairs_no_film_is_asked_for(simulated: Run, workers: Set) -> None:
@@ -315,3 +329,5 @@ def test_a_person_reads_every_number_with_its_error(simulated: Run) -> None:
     assert "WARNING: too few histories" in as_text(document)
     document["metrics"]["uniformity"] = one | {"bias": -0.01}
     assert "WARNING" not in as_text(document)
+    document["warnings"] = ["substrate: its table is one-way"]
+    assert "WARNING: substrate: its table is one-way" in as_text(document)

@@ -153,3 +153,20 @@ def test_a_dead_chip_takes_its_own_light_away(dim: tuple[Scene, Exits]) -> None:
         maps[name] = ModuleTwin(lit, exits, blocks=1, shadow_rays=0).mean(np.linspace(-700, 700, 15), np.zeros(1))
     np.testing.assert_allclose(maps["left"] + maps["rest"], maps["all"], rtol=1e-5)
     assert np.argmax(maps["left"]) < 7
+
+
+@pytest.mark.parametrize("emits", [[[1.0]], [[1.0, 2.0], [3.0, 0.0]]], ids=["folded", "whole"])
+def test_each_chip_lays_the_same_map_at_its_own_place(emits: list[list[float]]) -> None:
+    """Under a black receiver displaced chips of several powers make the sum of the middle one's map, moved."""
+    case = scene({"absorption_per_um": 2e-2}, emission=Emission(position=np.array(emits)))
+    case = replace(case, receiver=lambertian_receiver(0.0))
+    exits, rng = make_exits(case, 1, BLOCK), np.random.default_rng(3)
+    offset = rng.uniform(-30.0, 30.0, (3, 3, 2))
+    offset[1, 1] = 0.0
+    several = replace(Array.regular(3, 3, 400.0), power=rng.random((3, 3)), offset_um=offset)
+    middle = replace(several, power=np.eye(9)[4].reshape(3, 3))
+    whole, one = (ModuleTwin(replace(case, layout=layout), exits) for layout in (several, middle))
+    x, y = np.linspace(-400.0, 500.0, 7), np.linspace(-300.0, 450.0, 6)
+    places = zip(several.power.ravel(), several.centres_um.reshape(-1, 2), strict=True)
+    expected = sum(power * one.mean(x - cx, y - cy) for power, (cx, cy) in places)
+    np.testing.assert_allclose(whole.mean(x, y), expected, rtol=1e-9)

@@ -9,7 +9,7 @@ import pytest
 
 from luxloop.client import as_task
 from luxloop.errors import InputError
-from luxloop.ray import RayRequest
+from luxloop.ray import PredictionRequest, RayRequest
 from luxloop.words import parse
 
 DESIGN = {"distance_um": 180.0, "width_um": 28.0, "spacing_um": 500.0, "thickness_um": 35.0, "dbr_pairs": 0.0}
@@ -83,3 +83,47 @@ def test_a_seed_is_a_word_or_a_number() -> None:
     """Both are the same seed, and travel as text: no reader rounds it."""
     assert request(seed=9007199254740993) == request(seed="9007199254740993")
     assert '"9007199254740993"' in request(seed=9007199254740993).model_dump_json()
+
+
+def prediction(**changes: Any) -> PredictionRequest:
+    """A prediction of one shot, with what is changed in it."""
+    shot = {"environment": {}, "design": DESIGN, "array": {"rows": 1, "columns": 1}}
+    return parse(PredictionRequest, {"shots": [shot]} | changes)
+
+
+@pytest.mark.parametrize(
+    ("changes", "field"),
+    [
+        ({"shots": []}, "shots"),
+        ({"shots": [{"environment": {}}]}, "shots.0.design"),
+        ({"columns": [""]}, "columns.0"),
+        ({"anchor": {}}, "anchor.histories"),
+        ({"anchor": {"histories": 1, "seed": "-1"}}, "anchor.seed"),
+        ({"exit_histories": 524_289}, "exit_histories"),
+        ({"task": "simulation"}, "task"),
+        ({"histories": 1}, "histories"),
+    ],
+)
+def test_a_prediction_that_cannot_be_is_refused_by_name(changes: dict[str, Any], field: str) -> None:
+    """As with a simulation."""
+    with pytest.raises(InputError) as caught:
+        prediction(**changes)
+    assert caught.value.field.startswith(field)
+
+
+def test_a_task_says_that_it_is_a_prediction() -> None:
+    """One kind of worker serves both; a simulation says nothing, so that its id stays what it was."""
+    first = prediction()
+    assert as_task(first).kind == as_task(request()).kind
+    assert as_task(first).inputs["task"] == "prediction"
+    assert "task" not in as_task(request()).inputs
+    assert PredictionRequest.model_validate(json.loads(first.model_dump_json())) == first
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{"columns": ["width_um"]}, {"anchor": {"histories": 1}}, {"exit_histories": 2}, {"exit_seed": "2"}],
+)
+def test_what_decides_a_prediction_decides_its_task(changes: dict[str, Any]) -> None:
+    """Each change is another task."""
+    assert as_task(prediction()).id != as_task(prediction(**changes)).id

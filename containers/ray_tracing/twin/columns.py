@@ -32,9 +32,17 @@ class Column:
     high: float = np.inf
 
     def stencil(self, scene: Scene) -> tuple[tuple[float, float], ...]:
-        """Amounts to move by and their weights: a derivative of second order within the range."""
+        """Amounts to move by and their weights: a derivative of second order within the range.
+
+        Raises
+        ------
+        InputError : a scene without the parameter, or where it is 0 and steps are shares of it.
+        """
         value = self.value(scene)
         h = self.step(value)
+        if not h > 0.0:
+            mend = "its step is a share of it: leave the column out, or start from a small value"
+            raise InputError(self.name, value, "above 0", mend)
         if value - h < self.low:
             return (0.0, -1.5 / h), (h, 2.0 / h), (2.0 * h, -0.5 / h)
         if value + h > self.high:

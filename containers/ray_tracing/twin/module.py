@@ -8,7 +8,6 @@ make a smooth map. Of powers and displacements everything is in it but that neig
 
 from __future__ import annotations
 
-from collections import defaultdict
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -65,12 +64,9 @@ class ModuleTwin:
         seed: int = SEED,
         threads: int | None = None,
     ) -> None:
-        if not isinstance(scene.layout, Array) or scene.layout.wall is not None or any(scene.tilt_per_um):
-            what = "walls" if isinstance(scene.layout, Array) and scene.layout.wall else "cell or tilt"
-            raise InputError("layout", what, "a finite array with open edges, level", "use cell_field or Monte Carlo")
-        self.scene, self.layout = scene, scene.layout
-        way = open_way(*surroundings(scene, scene.layout))
-        lit = emission_arrays(replace(scene, layout=Cell(scene.layout.spacing_um)))
+        self.scene, self.layout = scene, open_array(scene)
+        way = open_way(*surroundings(scene, self.layout))
+        lit = emission_arrays(replace(scene, layout=Cell(self.layout.spacing_um)))
         self.chip = one_chip(
             scene, direct_light(way, lit, exits, seed, blocks=blocks, groups=groups, threads=threads)
         )
@@ -108,21 +104,20 @@ class ModuleTwin:
         return self.exchange.solve(self._laid(chip, *self.exchange.centres_um))
 
     def _laid(self, chip: Real, x_um: Real, y_um: Real) -> Real:
-        """Direct light (y, x) of all chips, from the coefficients of one; chips of one y are taken together."""
-        functions = self.chip.x.functions
-        rows: dict[float, Real] = defaultdict(lambda: np.zeros((x_um.size, chip.shape[1])))
-        of_column: dict[float, Real] = {}
-        for (cx, cy), power in zip(
-            self.layout.centres_um.reshape(-1, 2).tolist(), self.layout.power.ravel(), strict=True
-        ):
-            if cx not in of_column:
-                of_column[cx] = functions(x_um - cx)
-            rows[cy] += power * of_column[cx]
-        sides = [(self.chip.y.functions(y_um - cy), along_x) for cy, along_x in rows.items()]
-        left, right = (np.concatenate(one, axis=1) for one in zip(*sides, strict=True))
-        size, many = chip.shape[0], len(rows)
-        middle = np.concatenate([left[:, i * size : (i + 1) * size] @ chip for i in range(many)], axis=1)
-        return np.asarray(middle @ right.T)
+        """Direct light (y, x) of all chips, from the coefficients of one.
+
+        Notes
+        -----
+        With f_k(u) = Re(a_k e^iku) along both axes the sum over chips of p f_k(y - c_y) f_l(x - c_x) is
+        Re(e^iky e^ilx P(k, l) + e^iky e^-ilx P(k, -l)) / 2,  P(k, l) = a_k a_l sum p e^-ikc_y e^-ilc_x.
+        """
+        (kx, ax), (ky, ay) = map(_waves_of, (self.chip.x, self.chip.y))
+        centres, power = self.layout.centres_um.reshape(-1, 2), self.layout.power.reshape(-1, 1)
+        to_x, to_y = ax * np.exp(-1j * np.outer(centres[:, 0], kx)), ay * np.exp(-1j * np.outer(centres[:, 1], ky))
+        along_x, along_y = np.exp(1j * np.outer(kx, x_um)), np.exp(1j * np.outer(y_um, ky))
+        lit = (power * to_y).T
+        both = (chip * (lit @ to_x)) @ along_x + (chip * (lit @ to_x.conj())) @ along_x.conj()
+        return np.asarray((along_y @ both).real / 2.0)
 
     def _lost(self, way: Way, emission: EmissionArrays, rays: int, seed: int, threads: int | None) -> float:
         """Share of what would come up again without chips that does not with them, in an endless array."""
@@ -131,6 +126,15 @@ class ModuleTwin:
             return 0.0
         axis = Axis(0.0, self.layout.spacing_um / 2.0, 1, "even")
         return -float(correction(way, emission, axis, axis, rays=rays, seed=seed, threads=threads)[0, 0]) / albedo
+
+
+def open_array(scene: Scene) -> Array:
+    """The layout of a scene that the twin knows as a module; InputError for any other."""
+    layout = scene.layout
+    if not isinstance(layout, Array) or layout.wall is not None or any(scene.tilt_per_um):
+        what = "walls" if isinstance(layout, Array) and layout.wall else "cell or tilt"
+        raise InputError("layout", what, "a finite array with open edges, level", "use cell_field or Monte Carlo")
+    return layout
 
 
 @dataclass(frozen=True)
@@ -175,6 +179,15 @@ def one_chip(scene: Scene, tally: Tally) -> ChipMap:
     cloud = np.multiply.outer(cloud_window(y, box.step_um), cloud_window(x, box.step_um))
     coefficients = np.stack([field.coefficients for field in fields], axis=1) * (fade / cloud) / (2.0 * reach) ** 2
     return ChipMap(coefficients, x, y, tally.total_histories)
+
+
+def _waves_of(axis: Axis) -> tuple[Real, Complex]:
+    """Wavenumbers k and amplitudes a of an axis' functions, Re(a e^ikx)."""
+    k = axis.wavenumber_per_um
+    amplitude = np.full(k.size, np.sqrt(2.0), complex)
+    amplitude[0] = 1.0
+    amplitude[axis.modes + 1 :] *= -1j  # the sines of a periodic axis
+    return k, amplitude
 
 
 def _samples(axis: Axis) -> Real:

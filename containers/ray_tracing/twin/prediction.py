@@ -9,10 +9,11 @@ before gain and what the sensor does (`camera.response`): up to there a camera i
 
 from __future__ import annotations
 
-from collections import OrderedDict, defaultdict
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections import OrderedDict
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +25,7 @@ from containers.ray_tracing.light_map import LightMap
 from containers.ray_tracing.twin.columns import Column
 from containers.ray_tracing.twin.direct import in_parallel
 from containers.ray_tracing.twin.module import BINS_PER_HEIGHT, PAD, ModuleTwin
-from containers.ray_tracing.twin.reweighting import reweighted, without_what_is_noted
+from containers.ray_tracing.twin.reweighting import OtherChipError, reweighted
 from containers.scene import Array, Scene
 from luxloop.camera import Camera
 from luxloop.errors import InputError
@@ -35,6 +36,13 @@ EFFECTIVE, INEXACT = 0.9, 0.05
 RECENT = 32
 Grid = Callable[[Any, Any], Any]
 """From x (x,) and y (y,) to values (..., y, x) in 1/mm^2."""
+Report = Callable[[], None]
+Key = TypeVar("Key")
+Value = TypeVar("Value")
+
+
+def nothing() -> None:
+    """A report that nobody hears."""
 
 
 @dataclass(frozen=True)
@@ -43,39 +51,63 @@ class Shot:
 
     scene: Scene
     camera: Camera
+    name: str = "shots"
+    """By which it is called where it cannot be predicted."""
+    base: Scene | None = None
+    """Whose chip's exits may stand for those of this one; none: they are walked."""
 
 
 class Supply:
-    """Exits for chips that differ little, from as few walks inside chips as possible.
+    """Exits of chips, each walked in once; of a chip near another one, the other's exits reweighted.
 
     Parameters
     ----------
     make : from a scene to exits of its chip, with notes; always with one seed, so that chips share random numbers.
+
+    Notes
+    -----
+    What a chip gets is a function of the chip and its base; what is remembered only saves time.
     """
 
     def __init__(self, make: Callable[[Scene], Exits]) -> None:
         self._make = make
-        self._held: dict[str, list[tuple[Scene, Exits]]] = defaultdict(list)
-        self._recent: OrderedDict[tuple[int, ...], tuple[Scene, Exits]] = OrderedDict()
+        self._known: OrderedDict[tuple[int, ...], tuple[Scene, str]] = OrderedDict()
+        self._walked: OrderedDict[str, Exits] = OrderedDict()
+        self._found: OrderedDict[tuple[str, str], Exits] = OrderedDict()
 
-    def of(self, scene: Scene) -> Exits:
-        """Exits of the scene's chip, reweighted where a chip much like it was walked in before."""
-        known = id(scene.chip), id(scene.substrate), id(scene.emission)
-        if known not in self._recent:
-            self._recent[known] = scene, self._find(scene)  # the scene is kept, so that no other gets its ids
-            if len(self._recent) > RECENT:
-                self._recent.popitem(last=False)
-        return self._recent[known][1]
+    def of(self, scene: Scene, base: Scene | None = None) -> Exits:
+        """Exits of the scene's chip: the base's where they can stand for them, else its own."""
+        if base is None or self._key(scene) == self._key(base):
+            return self._walk(scene)
+        pair = self._key(scene), self._key(base)
+        return remembered(self._found, pair, lambda: self._near(scene, base))
 
-    def _find(self, scene: Scene) -> Exits:
-        alike = self._held[chip_key(without_what_is_noted(scene)[0])]
-        for stored, exits in alike:
-            found = reweighted(exits, stored, scene)
-            if found.effective_share > EFFECTIVE and found.inexact_share < INEXACT:
-                return found.exits
-        made = self._make(scene)
-        alike.append((scene, made))
-        return made
+    def _near(self, scene: Scene, base: Scene) -> Exits:
+        try:
+            found = reweighted(self._walk(base), base, scene)
+        except OtherChipError:
+            return self._walk(scene)
+        if found.effective_share > EFFECTIVE and found.inexact_share < INEXACT:
+            return found.exits
+        return self._walk(scene)
+
+    def _walk(self, scene: Scene) -> Exits:
+        return remembered(self._walked, self._key(scene), lambda: self._make(scene))
+
+    def _key(self, scene: Scene) -> str:
+        """Of its chip; the scene is kept, so that no other gets its ids."""
+        ids = id(scene.chip), id(scene.substrate), id(scene.emission)
+        return remembered(self._known, ids, lambda: (scene, chip_key(scene)))[1]
+
+
+def remembered(held: OrderedDict[Key, Value], key: Key, make: Callable[[], Value]) -> Value:
+    """What is held under a key, or made now; of what is held, the latest `RECENT` are kept."""
+    if key not in held:
+        held[key] = make()
+    held.move_to_end(key)
+    if len(held) > RECENT:
+        held.popitem(last=False)
+    return held[key]
 
 
 @dataclass(frozen=True)
@@ -102,52 +134,127 @@ class Anchor:
         taken as related (one run seen by several cameras); of different runs their products are noise about 0.
     """
 
-    def __init__(self, shots: Sequence[Shot], fields: Sequence[Field], supply: Supply, **options: int) -> None:
+    def __init__(
+        self,
+        shots: Sequence[Shot],
+        fields: Sequence[Field],
+        supply: Supply,
+        *,
+        report: Report = nothing,
+        **options: int,
+    ) -> None:
         if len(shots) != len(fields) or len({field.groups for field in fields}) != 1:
             raise InputError("fields", len(fields), f"{len(shots)}, one for each shot, with equally many groups")
-        replicas = np.stack([image_of(field.grid, shot) for shot, field in zip(shots, fields, strict=True)], axis=1)
-        self.shots, self._supply, self._options = tuple(shots), supply, options
+        refuse_several_sizes(shots)
+        seen = []
+        for shot, field in zip(shots, fields, strict=True):
+            report()
+            seen.append(_replicas(field, shot))
+        replicas = np.stack(seen, axis=1)
+        self.shots, self._options = tuple(shots), options
         mean, groups = replicas.mean(axis=0), len(replicas)
         self._noise = (replicas - mean) / np.sqrt(groups * (groups - 1.0))
-        self._correction = mean - twin_images(shots, supply, **options)
+        self._correction = mean - twin_images(shots, supply, report=report, **options)
 
-    def predict(self, shots: Sequence[Shot]) -> Prediction:
-        """The images of the same shots at other parameters."""
+    def predict(self, shots: Sequence[Shot], supply: Supply, *, report: Report = nothing) -> Prediction:
+        """The images of the same shots at other parameters, by the exits of the anchor's chips where they can be."""
         if len(shots) != len(self.shots):
             raise InputError("shots", len(shots), f"{len(self.shots)}, those of the anchor")
-        return Prediction(twin_images(shots, self._supply, **self._options) + self._correction, self._noise)
+        near = [replace(shot, base=at.scene) for shot, at in zip(shots, self.shots, strict=True)]
+        return Prediction(twin_images(near, supply, report=report, **self._options) + self._correction, self._noise)
+
+    @property
+    def nbytes(self) -> int:
+        """In memory."""
+        return int(self._noise.nbytes + self._correction.nbytes)
 
 
-def twin_images(shots: Sequence[Shot], supply: Supply, *, threads: int | None = None, **options: int) -> Real:
-    """The twin's images (shot, row, column), several at once; `options` are `ModuleTwin`'s blocks and shadow_rays."""
-    if len({(shot.camera.rows, shot.camera.columns) for shot in shots}) != 1:
-        raise InputError("shots", "images of several sizes", "one size", "predict them in groups")
-    exits = [supply.of(shot.scene) for shot in shots]
-    images = np.zeros((len(shots), shots[0].camera.rows, shots[0].camera.columns))
+def twin_images(
+    shots: Sequence[Shot],
+    supply: Supply,
+    *,
+    threads: int | None = None,
+    report: Report = nothing,
+    **options: int,
+) -> Real:
+    """The twin's images (shot, row, column), several at once.
+
+    Parameters
+    ----------
+    report : called before each image, from several threads; what it raises ends the whole.
+    options : `ModuleTwin`'s blocks and shadow_rays.
+    """
+    rows, columns = refuse_several_sizes(shots)
+    exits = [supply.of(shot.scene, shot.base) for shot in shots]
+    images = np.zeros((len(shots), rows, columns))
 
     def see(number: int) -> None:
+        report()
         shot = shots[number]
-        images[number] = image_of(ModuleTwin(shot.scene, exits[number], threads=1, **options).mean, shot)
+        with named(shot.name):
+            twin = ModuleTwin(shot.scene, exits[number], threads=1, **options)
+            images[number] = image_of(twin.mean, shot)
 
     in_parallel(see, range(len(shots)), threads)
     return images
 
 
-def jacobian(shots: Sequence[Shot], columns: Sequence[Column], supply: Supply, **options: int) -> Real:
+def jacobian(
+    shots: Sequence[Shot],
+    columns: Sequence[Column],
+    supply: Supply,
+    *,
+    report: Report = nothing,
+    **options: int,
+) -> Real:
     """Derivatives (column, shot, row, pixel column) of the twin's images by each column's parameter, per its unit.
 
     Notes
     -----
     Central differences, at an end of a range one-sided ones of the same order, all with the same random numbers.
+    A moved chip has the exits of its shot's own chip, reweighted, where that can be.
     """
-    found = []
-    for column in columns:
-        derivative: Real = np.zeros(1)
-        for amount, weight in column.stencil(shots[0].scene):
-            moved = [Shot(column.move(shot.scene, amount), shot.camera) for shot in shots]
-            derivative = derivative + weight * twin_images(moved, supply, **options)
-        found.append(derivative)
-    return np.stack(found)
+    found = np.zeros((len(columns), len(shots), *refuse_several_sizes(shots)))
+    for derivative, column in zip(found, columns, strict=True):
+        steps = [
+            (number, weight, replace(shot, scene=column.move(shot.scene, amount), base=shot.scene))
+            for number, shot in enumerate(shots)
+            for amount, weight in stencil_of(column, shot)
+        ]
+        images = twin_images([moved for _, _, moved in steps], supply, report=report, **options)
+        for (number, weight, _), image in zip(steps, images, strict=True):
+            derivative[number] += weight * image
+    return found
+
+
+def stencil_of(column: Column, shot: Shot) -> tuple[tuple[float, float], ...]:
+    """Amounts and weights of a column's differences at a shot; InputError where it cannot be differentiated."""
+    with named(shot.name):
+        return column.stencil(shot.scene)
+
+
+def _replicas(field: Field, shot: Shot) -> Real:
+    """Images (group, row, column) of each group of a field."""
+    with named(shot.name):
+        return image_of(field.grid, shot)
+
+
+def refuse_several_sizes(shots: Sequence[Shot]) -> tuple[int, int]:
+    """Rows and columns of all images; InputError where they are not of one size."""
+    sizes = sorted({(shot.camera.rows, shot.camera.columns) for shot in shots})
+    if len(sizes) != 1:
+        several = ", ".join(f"{rows} x {columns}" for rows, columns in sizes)
+        raise InputError("shots", f"images of {several} pixels", "one size", "predict them in groups")
+    return sizes[0]
+
+
+@contextmanager
+def named(name: str) -> Iterator[None]:
+    """Within it an InputError's field is led by a name."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(f"{name}.{error.field}", error.value, error.allowed, error.mend) from error
 
 
 def image_of(grid: Grid, shot: Shot) -> Real:

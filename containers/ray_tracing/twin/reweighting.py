@@ -30,6 +30,10 @@ NOTED = TRACE - TOP_COSINES
 """Cosines at the top that are noted."""
 
 
+class OtherChipError(InputError):
+    """The two chips differ in what the exits do not note."""
+
+
 @dataclass(frozen=True)
 class Reweighted:
     """Exits with the weights of another chip, and how good they are."""
@@ -50,7 +54,8 @@ def reweighted(exits: Exits, stored: Scene, wanted: Scene) -> Reweighted:
 
     Raises
     ------
-    InputError : exits without notes; chips that differ in more than the bottom's reflectance, the absorption and the
+    InputError : exits without notes.
+    OtherChipError : chips that differ in more than the bottom's reflectance, the absorption and the
         top face, or do so in a way that was not noted (the substrate below an air gap, light where there was none).
 
     Notes
@@ -76,15 +81,6 @@ def reweighted(exits: Exits, stored: Scene, wanted: Scene) -> Reweighted:
     )
 
 
-def can_reweight(stored: Scene, wanted: Scene) -> bool:
-    """Whether exits of the one chip can stand for the other's."""
-    try:
-        _refuse_other_chip(stored, wanted)
-    except InputError:
-        return False
-    return True
-
-
 def _bottom_factor(exits: Exits, stored: Scene, wanted: Scene) -> Real:
     _refuse_other_chip(stored, wanted)
     (_, kept), (_, now) = (without_loss(_bottom(scene)) for scene in (stored, wanted))
@@ -100,15 +96,15 @@ def _bottom(scene: Scene) -> Bsdf:
 
 
 def _refuse_other_chip(stored: Scene, wanted: Scene) -> None:
-    """InputError where the two chips differ in what the exits do not note."""
+    """OtherChipError where the two differ in what the exits do not note."""
     mend = "make the exits of this chip"
     (bare, kept), (other, now) = map(without_what_is_noted, (stored, wanted))
     if kept == 0.0 and now > 0.0:
-        raise InputError("bottom reflectance", now, "0, as it was: no exit tells what it would send back", mend)
+        raise OtherChipError("bottom reflectance", now, "0, as it was: no exit tells what it would send back", mend)
     if stored.chip.bottom == "air_gap" and kept != now:
-        raise InputError("substrate", now, f"reflectance {kept:g}: hits in the gap are not noted", mend)
+        raise OtherChipError("substrate", now, f"reflectance {kept:g}: hits in the gap are not noted", mend)
     if chip_key(bare) != chip_key(other):
-        raise InputError("chip", "another", "alike but for bottom reflectance, absorption and top", mend)
+        raise OtherChipError("chip", "another", "alike but for bottom reflectance, absorption and top", mend)
 
 
 def without_what_is_noted(scene: Scene) -> tuple[Scene, float]:

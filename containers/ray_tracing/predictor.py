@@ -1,0 +1,290 @@
+"""From a request for predictions to its answer: scenes of the shots, the anchor, images, Jacobian. No clock, no bus.
+
+An answer is a function of its request alone, an image one of its shot and anchor alone. Walks inside chips are those
+of the content-addressed `ExitSource`: of the anchor's chip, whose exits are reweighted for a wanted chip near it, or
+of the wanted chip itself, whose exits are reweighted for the chips that a column moves it to.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from containers.ray_tracing.build import cell_of, scene_of
+from containers.ray_tracing.exit_source import ExitSource
+from containers.ray_tracing.exits import Exits
+from containers.ray_tracing.field import Field
+from containers.ray_tracing.monte_carlo import BLOCK, blocks_of, usable_threads
+from containers.ray_tracing.outcome import Arrays, Document, solved
+from containers.ray_tracing.simulation import layout_of, refuse_other_film, solver_of
+from containers.ray_tracing.tally import GROUPS
+from containers.ray_tracing.twin.columns import COLUMNS, Column
+from containers.ray_tracing.twin.module import open_array
+from containers.ray_tracing.twin.prediction import (
+    Anchor,
+    Shot,
+    Supply,
+    jacobian,
+    named,
+    refuse_several_sizes,
+    stencil_of,
+    twin_images,
+)
+from containers.scene import Array, Cell, Scene
+from containers.thin_film.table import FilmTable
+from luxloop.computation import Progress
+from luxloop.effect import did_you_mean, refuse_twice
+from luxloop.errors import InputError
+from luxloop.ray import AnchorRequest, Film, Module, PredictionRequest, RayRequest, ShotRequest
+from luxloop.words import sha256_of
+
+FilmOf = Callable[[Film], FilmTable]
+
+MOST_VALUES = 1 << 25
+"""Of an answer: the pixels of all shots, once for the images, for each column, and for each group of an anchor."""
+MOST_CHIPS = 2_500
+"""Of a module: its image takes 2.4 s (5 x 5: 20 ms), and within an image nobody listens for a cancel."""
+HELD_BYTES = 128 << 20
+"""Of anchors that are kept; the latest is kept in any case."""
+SHADOW_RAYS = 4096
+RUN_STEPS = 20
+"""What a run of Monte Carlo counts for in the progress; an image of the twin counts 1."""
+
+
+class Predictor:
+    """What predicts images for a worker; `source` has the stored chip exits."""
+
+    def __init__(self, source: ExitSource, threads: int | None = None) -> None:
+        self._source, self._threads = source, threads or usable_threads()
+        self._anchors: OrderedDict[str, Anchor] = OrderedDict()
+
+    def answer(self, request: PredictionRequest, film_of: FilmOf, progress: Progress) -> tuple[Document, Arrays]:
+        """The result document of a request and its arrays.
+
+        Parameters
+        ----------
+        film_of : brings the table that a shot names.
+
+        Raises
+        ------
+        InputError : shots that cannot be built or that the twin does not know, images of several sizes, pixels beyond
+            the receiver, an unknown column or one that a shot lacks, an answer of more than `MOST_VALUES`.
+        Stopped : cancelled; looked for before each image, and within walks and runs of Monte Carlo.
+
+        Notes
+        -----
+        All in irradiance, 1/mm^2 per flux of a chip, before a camera's gain: `images_per_mm2` (shot, row, column);
+        `jacobian_per_mm2` (column, shot, row, pixel column), by each shot's own parameter, in the unit that its name
+        ends with; with an anchor `noise_per_mm2` (group, shot, row, column): the covariance of two pixels is the sum
+        over groups of their products. Images are float64, for differences are taken of them; the others are float32,
+        which rounds 6e-8 of a value: the least noisy column has 1e-4, the noise knows itself to 13 %.
+        """
+        columns = _columns(request)
+        _refuse_too_much(request)
+        shots = _shots(request.shots, "shots", film_of)
+        steps = _Steps(progress, len(shots) + sum(len(stencil_of(c, shot)) for c in columns for shot in shots))
+        job = _Job(request, steps, self._source, self._threads)
+        supply = Supply(job.exits)
+        if request.anchor is None:
+            arrays: Arrays = {"images_per_mm2": twin_images(shots, supply, report=steps.image, **job.options)}
+        else:
+            anchor = self._anchor(request.anchor, job, supply, film_of)
+            found = anchor.predict(shots, supply, report=steps.image)
+            arrays = {"images_per_mm2": found.images_per_mm2, "noise_per_mm2": found.noise_per_mm2.astype(np.float32)}
+        if columns:
+            derivatives = jacobian(shots, columns, supply, report=steps.image, **job.options)
+            arrays["jacobian_per_mm2"] = derivatives.astype(np.float32)
+        return _document(request), arrays
+
+    def _anchor(self, asked: AnchorRequest, job: _Job, supply: Supply, film_of: FilmOf) -> Anchor:
+        """The anchor of a request: one of those kept, or made anew."""
+        wanted = job.request.shots
+        at = asked.shots or wanted
+        if len(at) != len(wanted) or _size(at[0]) != _size(wanted[0]):
+            given, allowed = (f"{len(some)} shots of {_size(some[0])} pixels" for some in (at, wanted))
+            raise InputError("anchor.shots", given, allowed, "one for each of the wanted ones, in the same order")
+        decisive = job.request.model_dump(mode="json", include={"anchor", "exit_histories", "exit_seed"})
+        key = sha256_of([decisive, *([] if asked.shots else [shot.model_dump(mode="json") for shot in wanted])])
+        if key not in self._anchors:
+            shots = _shots(at, "anchor.shots" if asked.shots else "shots", film_of)
+            self._anchors[key] = job.anchor(asked, at, shots, supply)
+        self._anchors.move_to_end(key)
+        while len(self._anchors) > 1 and sum(one.nbytes for one in self._anchors.values()) > HELD_BYTES:
+            self._anchors.popitem(last=False)
+        return self._anchors[key]
+
+
+class _Steps:
+    """How far a request is, in images of the twin; reports of several threads may overtake each other."""
+
+    def __init__(self, progress: Progress, total: int) -> None:
+        self._progress, self.total, self.done = progress, total, 0
+
+    def image(self) -> None:
+        """One more is begun."""
+        self.say("images")
+        self.done += 1
+
+    def run(self, share: float) -> None:
+        """So much of a run of Monte Carlo is done."""
+        self.say("Monte Carlo", share * RUN_STEPS)
+
+    def say(self, note: str, beyond: float = 0.0) -> None:
+        """Tell the progress."""
+        self._progress.report((self.done + beyond) / self.total, note)
+
+
+@dataclass(frozen=True)
+class _Job:
+    """A request under way."""
+
+    request: PredictionRequest
+    steps: _Steps
+    source: ExitSource
+    threads: int
+
+    @property
+    def options(self) -> dict[str, int]:
+        """Of the twin's images."""
+        blocks = blocks_of(self.request.exit_histories) // BLOCK
+        return {"blocks": blocks, "shadow_rays": SHADOW_RAYS, "threads": self.threads}
+
+    def exits(self, scene: Scene) -> Exits:
+        """Exits of a scene's chip with notes, as many blocks as are used or more."""
+        seed, blocks, found = int(self.request.exit_seed), self.options["blocks"], list[Exits]()
+        batch_at = self.source.batches(scene, seed, notes=True, report=lambda _: self.steps.say("chip exits"))
+        while not found or blocks_in(found) < blocks:
+            found.append(batch_at(blocks_in(found)))
+        return joined(found)
+
+    def anchor(
+        self, asked: AnchorRequest, at: Sequence[ShotRequest], shots: Sequence[Shot], supply: Supply
+    ) -> Anchor:
+        """An anchor at these shots; what several cameras see is run once."""
+        modules = [sha256_of(shot.model_dump(mode="json", exclude={"camera"})) for shot in at]
+        self.steps.total += RUN_STEPS * len(set(modules)) + 2 * len(shots)
+        fields: dict[str, Field] = {}
+        for module, wanted, shot in zip(modules, at, shots, strict=True):
+            if module not in fields:
+                with named(shot.name):
+                    fields[module] = self._field(asked, wanted, shot.scene)
+        return Anchor(shots, [fields[module] for module in modules], supply, report=self.steps.image, **self.options)
+
+    def _field(self, asked: AnchorRequest, wanted: ShotRequest, scene: Scene) -> Field:
+        """A module's field by Monte Carlo."""
+        run = RayRequest(
+            **{name: getattr(wanted, name) for name in Module.model_fields},
+            histories=asked.histories,
+            seed=asked.seed,
+            stored_exits=asked.stored_exits,
+            exit_seed=self.request.exit_seed,
+        )
+        solver = solver_of(run, scene, self.source, self.threads)
+        tally = solver.run_to(blocks_of(asked.histories), self.steps.run)
+        self.steps.done += RUN_STEPS
+        return solved(scene, tally).field
+
+
+def blocks_in(batches: Sequence[Exits]) -> int:
+    """Blocks of batches together."""
+    return sum(batch.ledger.shape[1] for batch in batches)
+
+
+def joined(batches: Sequence[Exits]) -> Exits:
+    """Batches that follow each other as one."""
+    if len(batches) == 1:
+        return batches[0]
+    groups = range(batches[0].ends.shape[0])
+    parts = [(one, slice(one.ends[group, 0], one.ends[group, -1])) for group in groups for one in batches]
+    counts = np.concatenate([np.diff(batch.ends, axis=1) for batch in batches], axis=1)
+    last = np.cumsum(counts.ravel()).reshape(counts.shape)
+    rays = np.concatenate([one.rays[part] for one, part in parts])
+    rays.flags.writeable = False  # as those that come out of a file: kernels are compiled once
+    return Exits(
+        rays=rays,
+        notes=np.concatenate([one.notes[part] for one, part in parts]),
+        ends=np.concatenate([last[:, :1] - counts[:, :1], last], axis=1),
+        ledger=np.concatenate([batch.ledger for batch in batches], axis=1),
+        first_block=batches[0].first_block,
+    )
+
+
+def _size(shot: ShotRequest) -> str:
+    return f"{shot.camera.rows} x {shot.camera.columns}"
+
+
+def _columns(request: PredictionRequest) -> list[Column]:
+    """The columns of a request. Raises InputError for one that is not known, or wanted twice."""
+    refuse_twice("columns", request.columns)
+    for number, name in enumerate(request.columns):
+        if name not in COLUMNS:
+            raise InputError(f"columns.{number}", name, ", ".join(COLUMNS), did_you_mean(name, COLUMNS))
+    return [COLUMNS[name] for name in request.columns]
+
+
+def _refuse_too_much(request: PredictionRequest) -> None:
+    """InputError where the answer would be too large; before anything is built."""
+    pixels = sum(shot.camera.rows * shot.camera.columns for shot in request.shots)
+    times = 1 + len(request.columns) + (GROUPS if request.anchor is not None else 0)
+    if pixels * times > MOST_VALUES:
+        mend = "fewer pixels or columns at once: ask in parts"
+        raise InputError("shots", f"{pixels} pixels x {times} images of each", f"a product up to {MOST_VALUES}", mend)
+
+
+def _shots(wanted: Sequence[ShotRequest], where: str, film_of: FilmOf) -> list[Shot]:
+    """The shots of a request, their chips built once where they are alike. InputErrors name the shot."""
+    built: dict[str, Scene] = {}
+    shots = []
+    for number, shot in enumerate(wanted):
+        name = f"{where}.{number}"
+        with named(name):
+            key = sha256_of(shot.model_dump(mode="json", include={"environment", "design", "film"}))
+            if key not in built:
+                film = None if shot.film is None else film_of(shot.film)
+                refuse_other_film(shot, film)
+                built[key] = scene_of(shot.environment, shot.design, film, cell_of(shot.environment, shot.design))
+            scene = replace(built[key], layout=_open(shot))
+            open_array(scene)
+        shots.append(Shot(scene, shot.camera, name))
+    refuse_several_sizes(shots)
+    return shots
+
+
+def _open(shot: ShotRequest) -> Cell | Array:
+    """The finite module of a shot; the twin knows only open edges."""
+    if shot.array is None:
+        mend = "a single chip has rows = columns = 1; images of endless chips come of a simulation"
+        raise InputError("array", None, "rows and columns of a finite module", mend)
+    if shot.array.rows * shot.array.columns > MOST_CHIPS:
+        chips = f"{shot.array.rows} x {shot.array.columns} chips"
+        raise InputError("array", chips, f"up to {MOST_CHIPS} chips", "predict a part of the module")
+    if shot.array.wall_reflectance is not None:
+        mend = "images of walled modules come of a simulation by Monte Carlo"
+        raise InputError("array.wall_reflectance", shot.array.wall_reflectance, "none: an open edge", mend)
+    return layout_of(shot)
+
+
+def _document(request: PredictionRequest) -> Document:
+    """What was computed, with counts as they were rounded up to whole blocks."""
+    anchor = request.anchor
+    of_anchor = (
+        {}
+        if anchor is None
+        else {
+            "groups": GROUPS,
+            "histories": GROUPS * blocks_of(anchor.histories),
+            "seed": anchor.seed,
+            "stored_exits": anchor.stored_exits,
+        }
+    )
+    return {
+        "task": request.task,
+        "columns": list(request.columns),
+        "exit_histories": GROUPS * blocks_of(request.exit_histories),
+        "exit_seed": request.exit_seed,
+        "unit": "1/mm2 per flux of a chip",
+        **of_anchor,
+    }
