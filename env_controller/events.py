@@ -18,12 +18,18 @@ class Event:
 
 @dataclass(frozen=True)
 class Submitted(Event):
-    """A task is wanted. Wanted twice, it is one task."""
+    """A task is wanted. Wanted twice, it is one task.
+
+    `share` is whose wish it is, `group` what makes tasks alike (their film); `ahead`: of use only later, perhaps.
+    """
 
     task_id: str
     kind: str
     patience_s: float = 30.0
     limit_s: float = 600.0
+    share: str = ""
+    group: str = ""
+    ahead: bool = False
 
 
 @dataclass(frozen=True)

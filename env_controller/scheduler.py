@@ -5,8 +5,9 @@
                    +---------+   the worker left, fell silent, crashed, ran over the limit, or handed it back
 
 An attempt that ended badly is tried again elsewhere, up to `attempts` times; then the task is set aside with the
-history of its attempts. A delivery counts only from the holder of the lease, with its attempt and epoch: everything
-older is fenced. `story` tells what happened to a task.
+history of its attempts. A delivery counts only from the holder of a lease, with its attempt and epoch: everything
+older is fenced. When nothing else waits, the slowest task is hedged: an idle worker gets it too, under a lease of its
+own, and whoever delivers first ends it. `story` tells what happened to a task.
 """
 
 from __future__ import annotations
@@ -17,6 +18,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from env_controller import events as e
+from env_controller.hedging import Durations
+from env_controller.waiting import Queue
 
 STORIES = 1000  # finished tasks whose story is kept
 
@@ -30,6 +33,9 @@ class TaskRecord:
     since_s: float  # when it was submitted, or when the last worker of its kind went
     patience_s: float
     limit_s: float
+    share: str = ""
+    group: str = ""
+    ahead: bool = False
     attempt: int = 0  # leases given so far: fences old ones
     failures: list[str] = field(default_factory=list)
     story: list[str] = field(default_factory=list)
@@ -54,6 +60,7 @@ class WorkerRecord:
     slots: int
     heard_s: float
     finished: int = 0
+    group: str = ""  # of its last task
 
 
 class Scheduler:
@@ -63,10 +70,13 @@ class Scheduler:
         self.epoch, self.attempts, self.silence_s = epoch, attempts, silence_s
         self.tasks: dict[str, TaskRecord] = {}
         self.leases: dict[str, LeaseRecord] = {}  # by task
+        self.hedges: dict[str, LeaseRecord] = {}  # by task, the second leases
         self.workers: dict[str, WorkerRecord] = {}
-        self.ready: dict[str, OrderedDict[str, None]] = {}  # by kind, in the order of submission
+        self.ready: dict[str, Queue] = {}  # by kind
         self.polls: dict[int, str] = {}  # held polls in the order in which they came -> worker
         self.counts = {"done": 0, "failed": 0, "requeued": 0, "fenced": 0}
+        self.hedged = 0
+        self._durations = Durations()
         self._stories: OrderedDict[str, list[str]] = OrderedDict()
         self._rules: dict[type[e.Event], Callable[[Any], list[e.Command]]] = {
             e.Submitted: self._submitted,
@@ -95,14 +105,28 @@ class Scheduler:
 
     def held_by(self, worker: str) -> list[LeaseRecord]:
         """The leases of one worker."""
-        return [lease for lease in self.leases.values() if lease.worker == worker]
+        return [lease for lease in self._all_leases() if lease.worker == worker]
+
+    def _all_leases(self) -> list[LeaseRecord]:
+        return [*self.leases.values(), *self.hedges.values()]
+
+    def _lease(self, task_id: str, worker: str, attempt: int) -> LeaseRecord | None:
+        """The lease of that worker and attempt, where it stands."""
+        leases = (self.leases.get(task_id), self.hedges.get(task_id))
+        return next((own for own in leases if own and (own.worker, own.attempt) == (worker, attempt)), None)
 
     def _submitted(self, event: e.Submitted) -> list[e.Command]:
         if event.task_id in self.tasks:
             task = self.tasks[event.task_id]
             task.patience_s = max(task.patience_s, event.patience_s)
+            if task.ahead and not event.ahead:
+                task.share, task.ahead = event.share, False
+                if task.task_id in self.ready.get(task.kind, ()):
+                    self.ready[task.kind].discard(task.task_id)
+                    self._make_ready(task)
             return []
-        task = TaskRecord(event.task_id, event.kind, event.at_s, event.patience_s, event.limit_s)
+        wish = (event.share, event.group, event.ahead)
+        task = TaskRecord(event.task_id, event.kind, event.at_s, event.patience_s, event.limit_s, *wish)
         self.tasks[event.task_id] = task
         self._tell(task, event.at_s, "submitted")
         self._make_ready(task)
@@ -110,11 +134,7 @@ class Scheduler:
 
     def _withdrawn(self, event: e.Withdrawn) -> list[e.Command]:
         task = self.tasks.get(event.task_id)
-        if task is None:
-            return []
-        lease = self.leases.get(event.task_id)
-        stop: list[e.Command] = [e.Stop(lease.worker, lease.task_id, lease.attempt)] if lease else []
-        return [*stop, self._end(task, event.at_s, "cancelled")]
+        return [] if task is None else self._end(task, event.at_s, "cancelled")
 
     def _joined(self, event: e.Joined) -> list[e.Command]:
         """A worker comes, or comes back: it keeps what is still its own or nobody else has taken up since."""
@@ -132,13 +152,13 @@ class Scheduler:
 
     def _adopt(self, event: e.Joined, task_id: str, attempt: int) -> bool:
         """Whether a worker may go on with an attempt: its lease stands, or the task still waits for another one."""
-        lease, task = self.leases.get(task_id), self.tasks.get(task_id)
-        if lease is not None:
-            return (lease.worker, lease.attempt) == (event.worker, attempt)
+        if task_id in self.leases:
+            return self._lease(task_id, event.worker, attempt) is not None
+        task = self.tasks.get(task_id)
         full = len(self.held_by(event.worker)) >= event.slots
         if full or task is None or (task.kind, task.attempt) != (event.kind, attempt):
             return False
-        del self.ready[task.kind][task_id]
+        self._take_out(task)
         self.leases[task_id] = LeaseRecord(task_id, event.worker, attempt, event.at_s)
         task.failures = [said for said in task.failures if not said.startswith(f"attempt {attempt}:")]
         self._tell(task, event.at_s, f"attempt {attempt} goes on with {event.worker}")
@@ -177,18 +197,21 @@ class Scheduler:
         if refusal:
             self.counts["fenced"] += 1
             return [receive]
+        lease = self._held(event.task_id, event.worker, event.attempt)
         if event.verdict == "crashed":
-            lease = self.leases[event.task_id]
             return [receive, *self._requeue(lease, event.at_s, f"crashed: {event.reason}", code="crashed")]
+        task = self.tasks[event.task_id]
         self.workers[event.worker].finished += 1
-        return [receive, self._end(self.tasks[event.task_id], event.at_s, event.verdict)]
+        self._durations.note(task.kind, event.at_s - lease.granted_s)
+        return [receive, *self._end(task, event.at_s, event.verdict, winner=lease)]
 
     def _handed_back(self, event: e.HandedBack) -> list[e.Command]:
         refusal = self._fence(event.worker, event.task_id, event.attempt, event.epoch)
         receive = e.Receive(event.worker, event.task_id, event.attempt, not refusal, refusal)
         if refusal:
             return [receive]
-        return [receive, *self._requeue(self.leases[event.task_id], event.at_s, "handed back", blame=False)]
+        lease = self._held(event.task_id, event.worker, event.attempt)
+        return [receive, *self._requeue(lease, event.at_s, "handed back", blame=False)]
 
     def _beat(self, event: e.Beat) -> list[e.Command]:
         worker = self.workers.get(event.worker)
@@ -196,7 +219,9 @@ class Scheduler:
 
     def _tick(self, event: e.Tick) -> list[e.Command]:
         commands: list[e.Command] = []
-        for lease in list(self.leases.values()):
+        for lease in self._all_leases():
+            if self._lease(lease.task_id, lease.worker, lease.attempt) is None:
+                continue  # its task ended with the other lease, a moment ago
             worker, task = self.workers[lease.worker], self.tasks[lease.task_id]
             if event.at_s - worker.heard_s > self.silence_s:
                 why, code = f"{lease.worker} was silent for {event.at_s - worker.heard_s:.1f} s", "worker_lost"
@@ -212,28 +237,64 @@ class Scheduler:
         """End the tasks that have waited too long for a worker of their kind to appear."""
         served = {worker.kind for worker in self.workers.values()}
         waiting = [self.tasks[i] for kind, ids in self.ready.items() if kind not in served for i in ids]
-        return [self._end(task, at_s, "no_worker") for task in waiting if at_s - task.since_s > task.patience_s]
+        lost = [task for task in waiting if at_s - task.since_s > task.patience_s]
+        return [command for task in lost for command in self._end(task, at_s, "no_worker")]
 
     def _match(self, kind: str, at_s: float) -> list[e.Command]:
-        """Give ready tasks of a kind to the polls that have waited longest."""
+        """Give ready tasks of a kind to the polls that have waited longest; where none is ready, slow ones."""
         commands: list[e.Command] = []
-        ready = self.ready.get(kind)
         for poll, name in list(self.polls.items()):
-            if not ready:
-                break
             worker = self.workers[name]
             if worker.kind != kind or at_s - worker.heard_s > self.silence_s:
                 continue
-            del self.polls[poll]
             if len(self.held_by(name)) >= worker.slots:
+                del self.polls[poll]
                 commands.append(e.Release(poll))
                 continue
-            task = self.tasks[ready.popitem(last=False)[0]]
-            task.attempt += 1
-            self.leases[task.task_id] = LeaseRecord(task.task_id, name, task.attempt, at_s)
-            self._tell(task, at_s, f"attempt {task.attempt} leased to {name}")
-            commands.append(e.Grant(poll, name, task.task_id, task.attempt))
+            task = self._next(worker) or self._slow(worker, at_s)
+            if task is None:
+                continue
+            del self.polls[poll]
+            commands.append(self._grant(task, worker, poll, at_s))
         return commands
+
+    def _next(self, worker: WorkerRecord) -> TaskRecord | None:
+        """The task whose turn it is, taken out of its queue."""
+        queue = self.ready.get(worker.kind)
+        if queue is None:
+            return None
+        task = self.tasks[queue.take(worker.group)[0]]
+        self._take_out(task)
+        return task
+
+    def _slow(self, worker: WorkerRecord, at_s: float) -> TaskRecord | None:
+        """The task that has run longest of those that are slow, run once, and with another worker."""
+        limit_s = self._durations.slow_after_s(worker.kind)
+        if limit_s is None:
+            return None
+        slow = [
+            lease
+            for lease in self.leases.values()
+            if self.tasks[lease.task_id].kind == worker.kind
+            and at_s - lease.granted_s > limit_s
+            and lease.worker != worker.worker
+            and lease.task_id not in self.hedges
+        ]
+        longest = min(slow, key=lambda lease: lease.granted_s, default=None)
+        return self.tasks[longest.task_id] if longest else None
+
+    def _grant(self, task: TaskRecord, worker: WorkerRecord, poll: int, at_s: float) -> e.Grant:
+        task.attempt += 1
+        worker.group = task.group
+        lease = LeaseRecord(task.task_id, worker.worker, task.attempt, at_s)
+        if task.task_id in self.leases:
+            self.hedges[task.task_id] = lease
+            self.hedged += 1
+            self._tell(task, at_s, f"attempt {task.attempt} hedged by {worker.worker}")
+        else:
+            self.leases[task.task_id] = lease
+            self._tell(task, at_s, f"attempt {task.attempt} leased to {worker.worker}")
+        return e.Grant(poll, worker.worker, task.task_id, task.attempt)
 
     def _fence(self, worker: str, task_id: str, attempt: int, epoch: str) -> str:
         """Why a delivery does not count, or an empty string where it does."""
@@ -242,9 +303,15 @@ class Scheduler:
             return f"epoch {epoch} is over, this is {self.epoch}"
         if lease is None:
             return "the task has ended" if task_id not in self.tasks else "the task is not leased"
-        if (lease.worker, lease.attempt) != (worker, attempt):
+        if self._lease(task_id, worker, attempt) is None:
             return f"attempt {attempt} of {worker} is over, attempt {lease.attempt} is with {lease.worker}"
         return ""
+
+    def _held(self, task_id: str, worker: str, attempt: int) -> LeaseRecord:
+        """As `_lease`, where `_fence` found it to stand."""
+        lease = self._lease(task_id, worker, attempt)
+        assert lease is not None  # noqa: S101  # `_fence` looked
+        return lease
 
     def _release_polls(self, name: str) -> list[e.Command]:
         mine = [poll for poll, worker in self.polls.items() if worker == name]
@@ -267,39 +334,54 @@ class Scheduler:
     def _requeue(
         self, lease: LeaseRecord, at_s: float, why: str, *, blame: bool = True, code: str = "worker_lost"
     ) -> list[e.Command]:
-        """Take a lease back; the task is ready again, or set aside when it has been tried often enough."""
-        del self.leases[lease.task_id]
+        """Take a lease back; the task is ready again, or set aside when it has been tried often enough.
+
+        Where it was hedged, the other lease goes on alone.
+        """
+        other = self.hedges.pop(lease.task_id, None)
+        if other is None:
+            del self.leases[lease.task_id]
+        elif other is not lease:
+            self.leases[lease.task_id] = other
         task = self.tasks[lease.task_id]
         self._tell(task, at_s, f"attempt {lease.attempt}: {why}")
         if blame:
             task.failures.append(f"attempt {lease.attempt}: {why}")
         if len(task.failures) >= self.attempts:
-            return [self._end(task, at_s, code)]
+            return self._end(task, at_s, code)
+        if other is not None:
+            return []
         self.counts["requeued"] += 1
         task.since_s = at_s
         self._make_ready(task)
         return self._match(task.kind, at_s)
 
     def _make_ready(self, task: TaskRecord) -> None:
-        """Queue a task: a new one at the end, one that comes back at the front, for it has waited longest."""
-        queue = self.ready.setdefault(task.kind, OrderedDict())
-        queue[task.task_id] = None
-        if task.attempt:
-            queue.move_to_end(task.task_id, last=False)
+        """Queue a task; one that comes back goes first, for it has waited longest."""
+        queue = self.ready.setdefault(task.kind, Queue())
+        queue.add(task.task_id, task.share, task.group, ahead=task.ahead, again=task.attempt > 0)
 
-    def _end(self, task: TaskRecord, at_s: float, code: str) -> e.Finish:
+    def _take_out(self, task: TaskRecord) -> None:
+        """Out of its queue, if it waits; an empty queue goes."""
+        queue = self.ready.get(task.kind)
+        if queue is not None:
+            queue.discard(task.task_id)
+            if not queue:
+                del self.ready[task.kind]
+
+    def _end(self, task: TaskRecord, at_s: float, code: str, winner: LeaseRecord | None = None) -> list[e.Command]:
+        """The task is over; whoever else still works on it is told to stop."""
         self.tasks.pop(task.task_id)
-        self.leases.pop(task.task_id, None)
-        queue = self.ready.get(task.kind, OrderedDict())
-        queue.pop(task.task_id, None)
-        if not queue:
-            self.ready.pop(task.kind, None)
+        leases = (self.leases.pop(task.task_id, None), self.hedges.pop(task.task_id, None))
+        others = [lease for lease in leases if lease is not None and lease is not winner]
+        self._take_out(task)
         self.counts["done" if code == "done" else "failed"] += 1
         self._tell(task, at_s, f"ended: {code}")
         self._stories[task.task_id] = task.story
         while len(self._stories) > STORIES:
             self._stories.popitem(last=False)
-        return e.Finish(task.task_id, code, tuple(task.failures))  # type: ignore[arg-type]  # codes come from above
+        finish = e.Finish(task.task_id, code, tuple(task.failures))  # type: ignore[arg-type]  # codes come from above
+        return [*(e.Stop(lease.worker, lease.task_id, lease.attempt) for lease in others), finish]
 
     @staticmethod
     def _tell(task: TaskRecord, at_s: float, what: str) -> None:

@@ -290,12 +290,133 @@ def test_the_story_of_a_task_names_each_step() -> None:
     ]
 
 
+def slow_story() -> Story:
+    """Two workers; it is known that tasks take a tenth of a second; A has been with w1 for ten seconds."""
+    story = Story(silence_s=60.0)
+    story.join("w1")
+    story.join("w2")
+    for number in range(8):
+        story.submit(f"{number}" * 64)
+        story.poll("w1")
+        story.now += 0.1
+        story.deliver("w1", f"{number}" * 64)
+    story.submit(A)
+    story.poll("w1")
+    story.now += 10.0
+    return story
+
+
+def test_the_slowest_task_is_hedged_when_nothing_else_waits() -> None:
+    """An idle worker gets it too; the first to deliver ends it, the other is told to stop."""
+    story = slow_story()
+    assert story.poll("w2") == [e.Grant(story.polls, "w2", A, 2)]
+    assert story.deliver("w2", A, 2) == [
+        e.Receive("w2", A, 2, accepted=True),
+        e.Stop("w1", A, 1),
+        e.Finish(A, "done"),
+    ]
+    assert not story.deliver("w1", A, 1)[0].accepted  # type: ignore[attr-defined]
+    assert story.core.hedged == 1
+
+
+def test_the_slow_one_may_still_win() -> None:
+    """The first attempt counts as long as nobody else delivered."""
+    story = slow_story()
+    story.poll("w2")
+    assert story.deliver("w1", A, 1)[1:] == [e.Stop("w2", A, 2), e.Finish(A, "done")]
+    assert story.core.leases == story.core.hedges == {}
+
+
+def test_what_waits_goes_before_a_hedge() -> None:
+    """An idle worker takes a ready task first, and no task gets a third lease."""
+    story = slow_story()
+    story.submit(B)
+    assert story.poll("w2") == [e.Grant(story.polls, "w2", B, 1)]
+    story.deliver("w2", B)
+    story.poll("w2")
+    story.join("w3")
+    assert story.poll("w3") == []
+
+
+def test_a_task_that_is_not_slow_is_not_hedged() -> None:
+    """Nor one of a kind of which little is known."""
+    story = slow_story()
+    story.now -= 9.0
+    assert story.poll("w2") == []
+    new = Story(silence_s=60.0).leased("w1", A)
+    new.join("w2")
+    new.now += 50.0
+    assert new.poll("w2") == []
+
+
+@pytest.mark.parametrize("lost", ["w1", "w2"])
+def test_of_two_leases_one_may_be_lost(lost: str) -> None:
+    """The other goes on alone, nothing is queued again; then it too is lost, and the task is ready."""
+    story, other = slow_story(), "w2" if lost == "w1" else "w1"
+    story.poll("w2")
+    story.core.handle(e.Left(story.now, lost, "gone"))
+    assert story.core.hedges == {}
+    assert story.core.leases[A].worker == other
+    assert A not in story.core.ready.get("film", ())
+    story.core.handle(e.Left(story.now, other, "gone"))
+    assert A in story.core.ready["film"]
+
+
+def test_two_shares_get_task_for_task() -> None:
+    """A campaign with ten tasks waiting does not hold up one with two."""
+    story = Story()
+    story.join()
+    for number in range(10):
+        story.submit(f"{number}" * 64, share="long")
+    for task in (A, B):
+        story.submit(task, share="short")
+    order = []
+    for _ in range(6):
+        (grant,) = story.poll()
+        order.append(grant.task_id[0])  # type: ignore[attr-defined]
+        story.deliver("w1", grant.task_id)  # type: ignore[attr-defined]
+    assert order == ["0", "a", "1", "b", "2", "3"]
+
+
+def test_a_worker_is_given_the_film_it_had() -> None:
+    """Of the next eight; then the oldest goes first."""
+    story = Story()
+    story.join()
+    for number, group in enumerate("fgfggggggf"):
+        story.submit(f"{number}" * 64, group=group)
+    order = []
+    for _ in range(10):
+        (grant,) = story.poll()
+        order.append(int(grant.task_id[0]))  # type: ignore[attr-defined]
+        story.deliver("w1", grant.task_id)  # type: ignore[attr-defined]
+    assert order == [0, 2, 9, 1, 3, 4, 5, 6, 7, 8]
+
+
+def test_what_is_wanted_ahead_waits_for_all_else_until_it_is_wanted_now() -> None:
+    """A film that may be needed is computed when nothing else is; once asked for in earnest it is like others."""
+    story = Story()
+    story.join()
+    story.submit(A, ahead=True)
+    story.submit(B)
+    assert story.poll()[0].task_id == B  # type: ignore[attr-defined]
+    story.deliver("w1", B)
+    story.submit("c" * 64)
+    story.submit(A)
+    story.submit("d" * 64)
+    (grant,) = story.poll()
+    assert grant.task_id == "c" * 64  # type: ignore[attr-defined]
+    story.deliver("w1", "c" * 64)
+    assert story.poll()[0].task_id == A  # type: ignore[attr-defined]
+
+
 class FaultyWorld:
     """Workers that die, fall silent, lose and repeat messages, around one scheduler; checks after every event."""
 
     def __init__(self, seed: int) -> None:
         self.random = random.Random(seed)
         self.core = Scheduler("e1", attempts=3, silence_s=6.0)
+        for _ in range(8):  # so that what takes over 2 s is slow, and hedged
+            self.core._durations.note("film", 0.1)
         self.now, self.polls = 0.0, 0
         self.wanted: Counter[str] = Counter()
         self.ended: Counter[str] = Counter()
@@ -321,7 +442,10 @@ class FaultyWorld:
         assert not set(ready) & set(core.leases), "a task is both ready and leased"
         for name, worker in core.workers.items():
             assert len(core.held_by(name)) <= worker.slots, "more leases than slots"
-        assert all(lease.worker in core.workers for lease in core.leases.values()), "leased to a lost worker"
+        for lease in (*core.leases.values(), *core.hedges.values()):
+            assert lease.worker in core.workers, "leased to a lost worker"
+        for task, hedge in core.hedges.items():
+            assert core.leases[task].attempt != hedge.attempt, "hedged by itself"
         assert all(name in core.workers for name in core.polls.values()), "a poll of a lost worker"
         for task, times in self.wanted.items():
             assert self.ended[task] + (task in core.tasks) == times, "a task was lost or ended twice"
@@ -350,7 +474,8 @@ class FaultyWorld:
             task = self.random.choice("abcdefgh") * 64
             if task not in self.core.tasks:
                 self.wanted[task] += 1
-            self.send(e.Submitted(self.now, task, "film"))
+            share, ahead = self.random.choice("xyz"), self.random.random() < 0.2
+            self.send(e.Submitted(self.now, task, "film", share=share, group=self.random.choice("fg"), ahead=ahead))
         elif what == "join":
             if self.random.random() < 0.5:
                 hand.clear()
@@ -394,8 +519,8 @@ class FaultyWorld:
 
     def deliver(self, worker: str, task: str, attempt: int, verdict: str) -> None:
         epoch = self.random.choice(["e1", "e1", "e1", "e0"])
-        lease = self.core.leases.get(task)
-        rightful = epoch == "e1" and lease is not None and (lease.worker, lease.attempt) == (worker, attempt)
+        leases = (self.core.leases.get(task), self.core.hedges.get(task))
+        rightful = epoch == "e1" and any(own and (own.worker, own.attempt) == (worker, attempt) for own in leases)
         before = self.accepted[task]
         self.send(e.Delivered(self.now, worker, task, attempt, epoch, verdict))  # type: ignore[arg-type]
         assert self.accepted[task] - before == (rightful and verdict == "done"), "a fenced delivery was accepted"
@@ -465,4 +590,6 @@ def test_the_same_events_give_the_same_commands() -> None:
     for _ in range(300):
         world.step()
     again = Scheduler("e1", attempts=3, silence_s=6.0)
+    for _ in range(8):
+        again._durations.note("film", 0.1)
     assert [again.handle(event) for event in events] == commands

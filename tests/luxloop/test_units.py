@@ -49,6 +49,14 @@ PURE = {
     # of an array
     "power": "relative to the nominal chip",
     "wall_reflectance": "ratio of powers",
+    # of a learner
+    "state": "design in [-1, 1] of its bounds",
+    "uniformity": "ratio of illuminances",
+    "uniformity_error": "of a ratio of illuminances",
+    "reward": "as its formula says",
+    "epsilon": "probability",
+    "q": "sum of rewards",
+    "loss": "of rewards, squared",
     # of a formula
     "exponent": "power of a scatter spectrum's fall",
 }

@@ -1,0 +1,66 @@
+"""Tasks of one kind that wait for a worker: whose turn it is. Pure."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Iterator
+
+LOOK_AHEAD = 8  # tasks of a share among which one of the worker's last group is preferred
+
+
+class Queue:
+    """Three lines: what comes back from a worker, then the shares in turn, then what is only wanted ahead of time.
+
+    A share is whoever wants tasks, a campaign or a client: two campaigns get task for task, however many each has
+    waiting. Within a share the oldest goes first, but a task of the `group` (the film) that the worker had last may
+    overtake up to `LOOK_AHEAD` - 1 others.
+    """
+
+    def __init__(self) -> None:
+        self._again: OrderedDict[str, str] = OrderedDict()  # task -> group, the one that came back last is first
+        self._shares: OrderedDict[str, OrderedDict[str, str]] = OrderedDict()
+        self._ahead: OrderedDict[str, str] = OrderedDict()
+        self._line: dict[str, OrderedDict[str, str]] = {}  # task -> where it waits
+
+    def add(self, task_id: str, share: str, group: str, *, ahead: bool = False, again: bool = False) -> None:
+        """A new task at the end of its share's line; one that comes back (`again`) before all others."""
+        line = self._again if again else self._ahead if ahead else self._shares.setdefault(share, OrderedDict())
+        line[task_id] = group
+        if again:
+            line.move_to_end(task_id, last=False)
+        self._line[task_id] = line
+
+    def take(self, group: str = "") -> tuple[str, str]:
+        """The task whose turn it is, for a worker that had `group` last, and its group. Raises KeyError if none."""
+        if self._again:
+            task_id = next(iter(self._again))
+        elif self._shares:
+            share, line = next(iter(self._shares.items()))
+            self._shares.move_to_end(share)
+            alike = (task for _, (task, own) in zip(range(LOOK_AHEAD), line.items(), strict=False) if own == group)
+            task_id = next(alike, next(iter(line)))
+        elif self._ahead:
+            task_id = next(iter(self._ahead))
+        else:
+            raise KeyError("no task waits")
+        taken = self._line[task_id][task_id]
+        self.discard(task_id)
+        return task_id, taken
+
+    def discard(self, task_id: str) -> None:
+        """Take a task out of its line; nothing happens where it does not wait."""
+        line = self._line.pop(task_id, None)
+        if line is None:
+            return
+        del line[task_id]
+        for share in [share for share, waiting in self._shares.items() if not waiting]:
+            del self._shares[share]
+
+    def __contains__(self, task_id: object) -> bool:
+        return task_id in self._line
+
+    def __iter__(self) -> Iterator[str]:
+        yield from list(self._line)
+
+    def __len__(self) -> int:
+        return len(self._line)
