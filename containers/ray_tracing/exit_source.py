@@ -6,14 +6,17 @@ Whoever holds a batch, it is the same to the last bit: a batch is a function of 
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from threading import Lock
+
+import numpy as np
 
 from containers.ray_tracing.exit_store import ExitStore
 from containers.ray_tracing.exits import Exits, chip_key, make_exits
 from containers.ray_tracing.monte_carlo import BLOCK
 from containers.scene import Scene
+from luxloop.errors import InputError
 from luxloop.words import sha256_of
 
 BATCH = 4
@@ -76,6 +79,24 @@ class ExitSource:
 
         return batch_at
 
+    def exits(
+        self,
+        scene: Scene,
+        seed: int,
+        blocks: int,
+        *,
+        notes: bool = False,
+        report: Callable[[float], None] | None = None,
+    ) -> Exits:
+        """The first `blocks` blocks of each group as one set, for the chip of a scene; raises InputError for none."""
+        if blocks < 1:
+            raise InputError("blocks", blocks, "at least 1")
+        batch_at, found, done = self.batches(scene, seed, notes=notes, report=report), list[Exits](), 0
+        while done < blocks:
+            found.append(batch_at(done))
+            done += found[-1].ledger.shape[1]
+        return joined(found, blocks)
+
     def _stored(self, key: str, first_block: int) -> Exits | None:
         arrays = self._store.get(key) if self._store is not None else None
         if arrays is None or set(arrays) != set(_ARRAYS):
@@ -88,3 +109,27 @@ class ExitSource:
             self._held[key] = exits
             while sum(e.nbytes for e in self._held.values()) > self._memory_bytes and len(self._held) > 1:
                 self._held.popitem(last=False)
+
+
+def joined(batches: Sequence[Exits], blocks: int) -> Exits:
+    """The first `blocks` blocks of batches that follow each other, as one set."""
+    whole = sum(batch.ledger.shape[1] for batch in batches)
+    if len(batches) == 1 and blocks == whole:
+        return batches[0]
+    left, parts = blocks, list[tuple[Exits, int]]()
+    for batch in batches:
+        parts.append((batch, min(left, batch.ledger.shape[1])))
+        left -= parts[-1][1]
+    groups = range(batches[0].ends.shape[0])
+    places = [(one, slice(one.ends[group, 0], one.ends[group, used])) for group in groups for one, used in parts]
+    counts = np.concatenate([np.diff(one.ends[:, : used + 1], axis=1) for one, used in parts], axis=1)
+    last = np.cumsum(counts.ravel()).reshape(counts.shape)
+    rays = np.concatenate([one.rays[place] for one, place in places])
+    rays.flags.writeable = False  # as those that come out of a file: kernels are compiled once
+    return Exits(
+        rays=rays,
+        notes=np.concatenate([one.notes[place] for one, place in places]),
+        ends=np.concatenate([last[:, :1] - counts[:, :1], last], axis=1),
+        ledger=np.concatenate([one.ledger[:, :used] for one, used in parts], axis=1),
+        first_block=batches[0].first_block,
+    )

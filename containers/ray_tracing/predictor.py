@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from containers.ray_tracing.build import cell_of, scene_of
-from containers.ray_tracing.exit_source import ExitSource
+from containers.ray_tracing.exit_source import BATCH, ExitSource
 from containers.ray_tracing.exits import Exits
 from containers.ray_tracing.field import Field
 from containers.ray_tracing.monte_carlo import BLOCK, blocks_of, usable_threads
@@ -154,11 +154,14 @@ class _Job:
 
     def exits(self, scene: Scene) -> Exits:
         """Exits of a scene's chip with notes, as many blocks as are used or more."""
-        seed, blocks, found = int(self.request.exit_seed), self.options["blocks"], list[Exits]()
-        batch_at = self.source.batches(scene, seed, notes=True, report=lambda _: self.steps.say("chip exits"))
-        while not found or blocks_in(found) < blocks:
-            found.append(batch_at(blocks_in(found)))
-        return joined(found)
+        blocks = -(-self.options["blocks"] // BATCH) * BATCH  # whole batches are not copied
+        return self.source.exits(
+            scene,
+            int(self.request.exit_seed),
+            blocks,
+            notes=True,
+            report=lambda _: self.steps.say("chip exits"),
+        )
 
     def anchor(
         self, asked: AnchorRequest, at: Sequence[ShotRequest], shots: Sequence[Shot], supply: Supply
@@ -186,30 +189,6 @@ class _Job:
         tally = solver.run_to(blocks_of(asked.histories), self.steps.run)
         self.steps.done += RUN_STEPS
         return solved(scene, tally).field
-
-
-def blocks_in(batches: Sequence[Exits]) -> int:
-    """Blocks of batches together."""
-    return sum(batch.ledger.shape[1] for batch in batches)
-
-
-def joined(batches: Sequence[Exits]) -> Exits:
-    """Batches that follow each other as one."""
-    if len(batches) == 1:
-        return batches[0]
-    groups = range(batches[0].ends.shape[0])
-    parts = [(one, slice(one.ends[group, 0], one.ends[group, -1])) for group in groups for one in batches]
-    counts = np.concatenate([np.diff(batch.ends, axis=1) for batch in batches], axis=1)
-    last = np.cumsum(counts.ravel()).reshape(counts.shape)
-    rays = np.concatenate([one.rays[part] for one, part in parts])
-    rays.flags.writeable = False  # as those that come out of a file: kernels are compiled once
-    return Exits(
-        rays=rays,
-        notes=np.concatenate([one.notes[part] for one, part in parts]),
-        ends=np.concatenate([last[:, :1] - counts[:, :1], last], axis=1),
-        ledger=np.concatenate([batch.ledger for batch in batches], axis=1),
-        first_block=batches[0].first_block,
-    )
 
 
 def _size(shot: ShotRequest) -> str:

@@ -11,7 +11,7 @@ from containers.bsdf import Mirror
 from containers.ray_tracing.arrays import DX, DZ, X, Z
 from containers.ray_tracing.build import array_of, cell_of, scene_of
 from containers.ray_tracing.exit_source import ExitSource
-from containers.ray_tracing.exits import Landing, make_exits
+from containers.ray_tracing.exits import Landing
 from containers.ray_tracing.kernel import WAVE_OF_EXIT, WEIGHT_OF_EXIT
 from containers.ray_tracing.monte_carlo import BLOCK, MonteCarlo, blocks_of
 from containers.ray_tracing.outcome import Arrays, Document, Solved, far_fields, outcome, region_of, solved
@@ -81,7 +81,7 @@ def simulate_scene(
     """`simulate` of a scene that is already made: how it is solved, and what is answered, is the request's."""
     warnings = scene_warnings(scene)
     if request.method == "twin":
-        found = _twin(request, scene, progress, threads)
+        found = _twin(request, scene, source, progress, threads)
     else:
         solver = solver_of(request, scene, source, threads)
         _solve(request, scene, solver, progress)
@@ -141,15 +141,15 @@ def refuse_other_film(request: Module, film: FilmTable | None) -> None:
         raise InputError("film", film.error_average_ratio, f"an error up to {film.grid.tolerance_ratio:g}", mend)
 
 
-def _twin(request: RayRequest, scene: Scene, progress: Progress, threads: int | None) -> Solved:
+def _twin(request: RayRequest, scene: Scene, source: ExitSource, progress: Progress, threads: int | None) -> Solved:
     """The receiver as the twin sees it, from the exits of as many histories as are asked for."""
     if request.histories is None:
         mend = "the twin has no error to stop by but its exits'; 1,000,000 are usual"
         raise InputError("histories", None, "a count with method = twin", mend)
     if request.far_field:
         raise InputError("far_field", True, "false with method = twin", "use monte_carlo")
-    each, seed = blocks_of(request.histories), int(request.exit_seed)
-    exits = make_exits(scene, seed, each, threads=threads, report=lambda share: progress.report(share, "exits"))
+    blocks, seed = blocks_of(request.histories) // BLOCK, int(request.exit_seed)
+    exits = source.exits(scene, seed, blocks, report=lambda share: progress.report(share, "exits"))
     if isinstance(scene.layout, Cell):
         return Solved(scene, None, cell_field(scene, exits, threads=threads), region_of(scene))
     return Solved(scene, None, ModuleTwin(scene, exits, groups=GROUPS, threads=threads).field(), region_of(scene))

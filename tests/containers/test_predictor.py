@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from containers.bsdf import GaussianLobe, Lambertian
 from containers.ray_tracing import predictor as predictor_module
-from containers.ray_tracing.exit_source import BATCH, ExitSource
+from containers.ray_tracing.exit_source import BATCH, ExitSource, joined
 from containers.ray_tracing.exits import make_exits
 from containers.ray_tracing.monte_carlo import BLOCK
-from containers.ray_tracing.predictor import SHADOW_RAYS, joined
+from containers.ray_tracing.predictor import SHADOW_RAYS
 from containers.ray_tracing.simulation import solver_of
 from containers.ray_tracing.twin.columns import COLUMNS
 from containers.ray_tracing.twin.prediction import Shot, Supply, jacobian, twin_images
@@ -230,10 +230,10 @@ def test_batches_joined_are_one_walk() -> None:
     """Group by group, as if they had been walked at once."""
     case = scene({"absorption_per_um": 2e-2})
     parts = [make_exits(case, 1, BLOCK, first_block=block, notes=True) for block in range(3)]
-    whole, found = make_exits(case, 1, 3 * BLOCK, notes=True), joined(parts)
+    whole, found = make_exits(case, 1, 3 * BLOCK, notes=True), joined(parts, 3)
     for name in ("rays", "notes", "ends", "ledger"):
         np.testing.assert_array_equal(getattr(found, name), getattr(whole, name), err_msg=name)
-    assert (found.first_block, found.histories, joined(parts[:1])) == (0, 3 * BLOCK, parts[0])
+    assert (found.first_block, found.histories, joined(parts[:1], 1)) == (0, 3 * BLOCK, parts[0])
 
 
 def test_more_exits_than_a_batch_holds(source: ExitSource) -> None:
