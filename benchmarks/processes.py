@@ -29,7 +29,8 @@ class Processes:
         with socket.socket() as probe:
             probe.bind(("127.0.0.1", 0))
             endpoint = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
-        self.settings = Settings(router=endpoint, cache=Path(self._folder.name), silence_s=silence_s)
+        folder = Path(self._folder.name)
+        self.settings = Settings(router=endpoint, cache=folder, runs=folder / "runs", silence_s=silence_s)
         self.router = self.start("-m", "luxloop", "serve", "router", "--quiet")
         self.controller = self.start("-m", "luxloop", "serve", "controller", "--quiet")
         self.workers = [self.start(*worker) for worker in workers]

@@ -9,18 +9,24 @@ from __future__ import annotations
 import logging
 import threading
 import time
+from collections import deque
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 from uuid import uuid4
 
 from env_controller import events as e
+from env_controller.actions import Want
+from env_controller.campaigns import Campaigns, result_of
 from env_controller.outcomes import Results, failure_of, other_release
 from env_controller.roster import GONE_S, Roster
 from env_controller.scheduler import Scheduler
+from env_controller.soundness import sound
 from luxloop import __version__
+from luxloop import campaign as c
 from luxloop import messages as m
 from luxloop.bus import Asked, Bus, Event, Heard, Inbox, Presence
-from luxloop.bus.frame import decode, encode, reframe
+from luxloop.bus.frame import Array, Parcel, decode, encode, reframe
 from luxloop.bus.keys import HOLD_S, KEYS, at, last_part, name_of
 from luxloop.errors import InputError, LuxloopError, RemoteError
 from luxloop.failure import Failure
@@ -32,7 +38,8 @@ log = logging.getLogger(__name__)
 
 TICK_S = 0.25
 ORPHAN_S = 30.0  # a task that nobody has asked about for so long is withdrawn
-QUESTIONS = ("submit", "withdraw", "status", "hello", "pull", "done")
+QUESTIONS = ("submit", "withdraw", "status", "hello", "pull", "done", "begin", "act", "note", "end")
+STARTING_S = 300.0  # how long a run waits for a worker to appear: one that starts compiles for a minute
 FINAL = ("bad_input", "too_large", "unknown_effect", "not_found", "version")  # another attempt would not mend these
 
 
@@ -52,6 +59,7 @@ class Wanted:
     limit_s: float
     asked_s: float
     waiting: list[Waiting] = field(default_factory=list)
+    by_runs: bool = False  # the environment-control agent wants it, too
 
 
 class Dispatcher:
@@ -69,6 +77,8 @@ class Dispatcher:
         self._delivery: bytes = b""  # the frame that is being handled
         self._failure: Failure | None = None  # what the last failed attempt said
         self._poll_count = 0
+        self._campaigns = Campaigns(settings.runs_dir, self._want, self._unwant)
+        self._ended: deque[tuple[m.Task, bytes]] = deque()  # what runs wanted, not yet told to them
         self._started_s = time.monotonic()
 
     def run(self, stop: threading.Event) -> None:
@@ -96,18 +106,20 @@ class Dispatcher:
             if time.monotonic() >= next_tick_s:
                 self._tick()
                 next_tick_s = time.monotonic() + TICK_S
+        self._campaigns.stop()
 
     def take(self, event: Event) -> None:
         """Handle one thing that arrived; whatever is wrong with it is answered, and the controller goes on."""
         if isinstance(event, Presence):
             self._notice(event)
+            self._tell_runs()
             return
         try:
-            message = _expected(event)
+            parcel = _expected(event)
             if isinstance(event, Heard):
-                self._hear(message)
+                self._hear(parcel.message)
             else:
-                self._answer(event, message)
+                self._answer(event, parcel)
         except LuxloopError as error:
             if isinstance(event, Asked):
                 event.reply(error.failure if isinstance(error, RemoteError) else Failure.of(error, "controller"))
@@ -115,6 +127,7 @@ class Dispatcher:
             log.exception("a %s on %s could not be handled", type(event).__name__, event.key)
             if isinstance(event, Asked):
                 event.reply(Failure.of(error, "controller"))
+        self._tell_runs()
 
     def _notice(self, presence: Presence) -> None:
         """A worker's token vanished; or another controller's appeared: the one that began later goes on."""
@@ -127,18 +140,26 @@ class Dispatcher:
             blame = self._bus.connected()
             self._perform(self.core.handle(e.Left(time.monotonic(), name, blame=blame)))
 
-    def _answer(self, asked: Asked, message: Words) -> None:
-        match message:
+    def _answer(self, asked: Asked, parcel: Parcel) -> None:
+        match message := parcel.message:
             case m.Submit():
                 self._submit(asked, message)
             case m.Pull():
                 self._pull(asked, message)
             case m.Done():
-                self._done(asked, message)
+                self._done(asked, message, parcel.arrays)
             case m.Hello():
                 self._hello(asked, message)
             case m.Withdraw():
                 self._withdraw(asked, message)
+            case c.Begin():
+                self._campaigns.begin(asked, message)
+            case c.Action():
+                self._campaigns.act(asked, message)
+            case c.Note():
+                self._campaigns.note(asked, message)
+            case c.End():
+                self._campaigns.end(asked, message)
             case _:
                 asked.reply(self.status())
 
@@ -162,7 +183,37 @@ class Dispatcher:
         wanted = self._wanted[task.id]
         wanted.asked_s = now
         wanted.waiting.append(Waiting(now + HOLD_S, submit.asker, asked))
-        self._perform(self.core.handle(e.Submitted(now, task.id, task.kind, submit.patience_s, submit.limit_s)))
+        wish = e.Submitted(now, task.id, task.kind, submit.patience_s, submit.limit_s, share=submit.asker)
+        self._perform(self.core.handle(wish))
+
+    def _want(self, want: Want) -> None:
+        """A run wants a task: as a client does, but that its outcome goes to the environment-control agent."""
+        task, now = want.task, time.monotonic()
+        finished = None if want.fresh else self._results.get(task.id)
+        if finished is not None:
+            self._ended.append((task, finished))
+            return
+        wanted = self._wanted.setdefault(task.id, Wanted(task, c.LIMIT_S, now))
+        wanted.by_runs = True
+        self._perform(
+            self.core.handle(
+                e.Submitted(now, task.id, task.kind, STARTING_S, c.LIMIT_S, want.run, want.group, want.ahead)
+            )
+        )
+
+    def _unwant(self, task_id: str) -> None:
+        """No run wants the task any longer; it ends where no client waits for it."""
+        wanted = self._wanted.get(task_id)
+        if wanted is not None:
+            wanted.by_runs = False
+            if not wanted.waiting:
+                self._perform(self.core.handle(e.Withdrawn(time.monotonic(), task_id)))
+
+    def _tell_runs(self) -> None:
+        """Tell the runs what came of the tasks they wanted, which may make them want more."""
+        while self._ended:
+            task, frame = self._ended.popleft()
+            self._campaigns.ended(result_of(task, frame))
 
     def _withdraw(self, asked: Asked, withdraw: m.Withdraw) -> None:
         """One asker takes back its wish; the task ends when nobody else waits for it."""
@@ -171,7 +222,7 @@ class Dispatcher:
         if wanted is None or not mine:
             asked.reply(m.Receipt(accepted=False, reason="this asker does not wait for such a task"))
             return
-        if len(mine) == len(wanted.waiting):
+        if len(mine) == len(wanted.waiting) and not wanted.by_runs:
             self._perform(self.core.handle(e.Withdrawn(time.monotonic(), withdraw.task_id)))
         else:
             wanted.waiting = [waiting for waiting in wanted.waiting if waiting not in mine]
@@ -198,7 +249,7 @@ class Dispatcher:
         poll = self._new_poll(asked)
         self._perform(self.core.handle(e.Polled(time.monotonic(), pull.worker, poll, pull.holding)))
 
-    def _done(self, asked: Asked, done: m.Done) -> None:
+    def _done(self, asked: Asked, done: m.Done, arrays: Mapping[str, Array]) -> None:
         now = time.monotonic()
         if done.handed_back is not None:
             back = e.HandedBack(now, done.worker, done.handed_back, done.attempt, done.epoch)
@@ -209,6 +260,9 @@ class Dispatcher:
         if outcome is None:
             asked.reply(Failure(code="bad_input", message="a delivery without an outcome", where="controller"))
             return
+        wanted = self._wanted.get(outcome.task_id)
+        if wanted is not None and outcome.failure is None:
+            outcome = sound(wanted.task.kind, outcome, arrays)
         self._delivery, self._failure = reframe(asked.frame, outcome), outcome.failure
         verdict = "done" if outcome.failure is None else "refused" if outcome.failure.code in FINAL else "crashed"
         reason = outcome.failure.text() if outcome.failure else ""
@@ -246,8 +300,10 @@ class Dispatcher:
             for waiting in [waiting for waiting in wanted.waiting if now > waiting.until_s]:
                 wanted.waiting.remove(waiting)
                 waiting.asked.reply(self._pending(task_id))
-            if not wanted.waiting and now - wanted.asked_s > HOLD_S + ORPHAN_S:
+            if not wanted.waiting and not wanted.by_runs and now - wanted.asked_s > HOLD_S + ORPHAN_S:
                 self._perform(self.core.handle(e.Withdrawn(now, task_id)))
+        self._tell_runs()
+        self._campaigns.tick(now)
         for name in self._roster.unheard(now):
             self._roster.strike(name)
             self._perform(self.core.handle(e.Left(now, name, f"not heard of for {GONE_S:g} s")))
@@ -288,7 +344,9 @@ class Dispatcher:
             )
         for waiting in wanted.waiting:
             waiting.asked.answer(frame)
-        if not wanted.waiting and finish.code not in ("done", "cancelled"):
+        if wanted.by_runs:
+            self._ended.append((wanted.task, frame))
+        elif not wanted.waiting and finish.code not in ("done", "cancelled"):
             self._results.put(finish.task_id, frame, once=True)  # it ended between two questions of its asker
 
     def _lease(self, grant: e.Grant) -> m.Lease:
@@ -332,9 +390,10 @@ class Dispatcher:
         )
 
 
-def _expected(event: Asked | Heard) -> Words:
-    """The message, where it is the one that its key stands for and of the key's kind of worker."""
-    message = decode(event.frame).message
+def _expected(event: Asked | Heard) -> Parcel:
+    """The message and its arrays, where it is the one that its key stands for and of the key's kind of worker."""
+    parcel = decode(event.frame)
+    message = parcel.message
     row = KEYS.get(name_of(event.key))
     if row is None or not isinstance(message, row.message):
         wanted = row.message.__name__ if row else "no message"
@@ -342,7 +401,7 @@ def _expected(event: Asked | Heard) -> Words:
     kind = message.task.kind if isinstance(message, m.Submit) else getattr(message, "kind", None)
     if kind is not None and event.key.split("/")[3] != kind:
         raise InputError("kind", kind, f"{event.key.split('/')[3]}, as its key says")
-    return message
+    return parcel
 
 
 def _taken_over(epoch: str) -> RemoteError:

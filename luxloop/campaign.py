@@ -1,10 +1,10 @@
 """The words between a designer and the environment-control agent: a plan, an action, the step that came of it.
 
-    designer ──Begin──▶ controller     opens the journal of a run
-             ──Action─▶                a design is proposed in one of the run's lanes
-             ◀──Step───                how uniform it is, and what that is worth; on disk before it is told
-             ──Note───▶                what the designer wants to have on record
-             ──End────▶                the journal is finished; its root comes back
+designer ──Begin──▶ controller     opens the journal of a run
+         ──Action─▶                a design is proposed in one of the run's lanes
+         ◀──Step───                how uniform it is, and what that is worth; on disk before it is told
+         ──Note───▶                what the designer wants to have on record
+         ──End────▶                the journal is finished; its root comes back
 """
 
 from __future__ import annotations
@@ -34,6 +34,8 @@ REWARDS: dict[str, str] = {
 }
 """What a reward is, by name; U in percent."""
 MAX_ATTACHMENT = 1 << 20
+LIMIT_S = 86_400.0
+"""Longest computation of one evaluation; its fidelity's budget is what bounds it."""
 
 
 class Fidelity(Words):
@@ -127,10 +129,25 @@ class Move(Words):
         return steps
 
 
+class AgentRecord(Words):
+    """What a learner was like when it chose an action."""
+
+    lane: Lane
+    number: Number
+    episode: Number = 0
+    epsilon: float = Field(0.0, ge=0.0, le=1.0)
+    greedy: bool = False
+    q: float | None = None
+    loss: float | None = None
+    updates: Number = 0
+    weights_sha256: Text = ""
+
+
 class Action(Words):
     """What is to be evaluated next in a lane: a design, or a move from where the lane is.
 
-    `number` counts a lane's actions from 0; the same action asked twice is one, and gets the same step.
+    `number` counts a lane's actions from 0; the same action asked twice is one, and gets the same step. A final
+    action leaves its lane where it was, and may lie outside the bounds (the best design without its DBR).
     """
 
     run: RunId
@@ -141,6 +158,7 @@ class Action(Words):
     move: Move | None = None
     final: bool = Field(False, description="With the plan's final fidelity, and `seed` for its own.")
     seed: Seed | None = None
+    agent: AgentRecord | None = Field(None, description="What the designer was like; goes on record with the step.")
 
     @model_validator(mode="after")
     def _one_of_them(self) -> Action:
@@ -174,20 +192,6 @@ class Step(Words):
     physics_s: float = Field(0.0, ge=0.0, description="Computing time of the workers.")
     controller_s: float = Field(0.0, ge=0.0, description="From the action to this step, waiting included.")
     failure: Failure | None = Field(None, description="Why it could not be evaluated; the figures then mean nothing.")
-
-
-class AgentRecord(Words):
-    """What a learner was like when it chose an action."""
-
-    lane: Lane
-    number: Number
-    episode: Number = 0
-    epsilon: float = Field(0.0, ge=0.0, le=1.0)
-    greedy: bool = False
-    q: float | None = None
-    loss: float | None = None
-    updates: Number = 0
-    weights_sha256: Text = ""
 
 
 class Note(Words):

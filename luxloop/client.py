@@ -9,7 +9,6 @@ and workers are started as processes of their own (`luxloop serve local`) and st
 
 from __future__ import annotations
 
-import json
 import os
 import socket
 import subprocess
@@ -20,10 +19,9 @@ from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import ExitStack
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Any, ClassVar, Protocol
+from typing import Any
 from uuid import uuid4
 
-from luxloop import __version__
 from luxloop.bus import Interrupt, ask_for
 from luxloop.bus.blobs import fetcher
 from luxloop.bus.frame import Array, Parcel
@@ -32,21 +30,14 @@ from luxloop.bus.zenoh_bus import ZenohBus
 from luxloop.endpoint import host_and_port, listening
 from luxloop.errors import LuxloopError, RemoteError
 from luxloop.failure import Failure
-from luxloop.messages import Outcome, Pending, Status, StatusAsked, Submit, Task, Withdraw
+from luxloop.messages import Outcome, Pending, Request, Status, StatusAsked, Submit, Task, Withdraw
 from luxloop.settings import Settings, as_environment
 from luxloop.store import BlobStore
+from luxloop.words import Words
 
 START_S = 20.0  # for router and controller to answer
 STOP_S = 8.0
 AGAIN = ("no_router", "no_controller", "busy", "timed_out", "refused")  # asking again may help
-
-
-class Request(Protocol):
-    """A message that names the kind of worker it is for."""
-
-    KIND: ClassVar[str]
-
-    def model_dump_json(self) -> str: ...
 
 
 @dataclass(frozen=True)
@@ -64,7 +55,7 @@ class Client:
     """A session with the controller. Thread-safe; leave it by `with` so that what it started is stopped."""
 
     def __init__(self, settings: Settings, *, local: bool = True, patience_s: float = 30.0) -> None:
-        self._patience_s = patience_s
+        self.patience_s = patience_s
         self._asker = f"{os.getpid()}-{uuid4().hex[:8]}"
         self._closing = Interrupt()
         self._stack = ExitStack()
@@ -98,7 +89,7 @@ class Client:
         """
         task, until = as_task(request), until or self._closing
         row, key = KEYS["submit"], at(self.settings.realm, "submit", kind=as_task(request).kind)
-        submit = Submit(task=task, asker=self._asker, fresh=fresh, patience_s=self._patience_s, limit_s=limit_s)
+        submit = Submit(task=task, asker=self._asker, fresh=fresh, patience_s=self.patience_s, limit_s=limit_s)
         lost_since_s: float | None = None
         while True:
             try:
@@ -110,7 +101,7 @@ class Client:
                 if error.failure.code not in AGAIN or until.is_set():
                     raise
                 lost_since_s = lost_since_s or time.monotonic()
-                if time.monotonic() - lost_since_s > self._patience_s:
+                if time.monotonic() - lost_since_s > self.patience_s:
                     raise
                 time.sleep(0.2)
                 continue
@@ -157,6 +148,11 @@ class Client:
     def fetch(self, sha256: str, size: int) -> bytes:
         """The blob of `size` bytes with this hash, from whoever holds it. Raises RemoteError not_found."""
         return self._fetch(sha256, size)
+
+    def ask(self, row: str, message: Words, parts: Mapping[str, str], until: Interrupt | None = None) -> Parcel:
+        """The controller's answer to a question of that row of the table of keys. Raises RemoteError."""
+        key, limit_s = at(self.settings.realm, row, **parts), KEYS[row].time_limit_s
+        return ask_for(self._bus, key, message, limit_s, cancelled=until or self._closing, fetch=self._fetch)
 
     def withdraw(self, request: Request | Task) -> None:
         """Take this client's wish back; the task is cancelled unless another client waits for it."""
@@ -214,10 +210,8 @@ class Client:
 
 
 def as_task(request: Request | Task) -> Task:
-    """The task that a typed request makes: its kind of worker, its canonical inputs, this release."""
-    if isinstance(request, Task):
-        return request
-    return Task(kind=request.KIND, inputs=json.loads(request.model_dump_json()), version=__version__)
+    """The task that a typed request makes; a task is one already."""
+    return request if isinstance(request, Task) else Task.of(request)
 
 
 def _stop(process: subprocess.Popen[bytes]) -> None:

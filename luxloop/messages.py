@@ -5,16 +5,27 @@ client ──Submit──▶ controller ──Lease──▶ worker          Out
 
 from __future__ import annotations
 
+import json
 from functools import cached_property
-from typing import Literal
+from typing import ClassVar, Literal, Protocol
 
 from pydantic import Field, model_validator
 
+from luxloop import __version__
+from luxloop.campaign import Action, Begin, Begun, End, Ended, Note, Step
 from luxloop.errors import InputError
 from luxloop.failure import Failure
 from luxloop.words import Name, Plain, Sha256, Text, Words, sha256_of
 
 SCHEMA = 1  # of all messages together; a frame of another number is refused, naming both
+
+
+class Request(Protocol):
+    """A message that names the kind of worker it is for."""
+
+    KIND: ClassVar[str]
+
+    def model_dump_json(self) -> str: ...
 
 
 class Task(Words):
@@ -27,6 +38,11 @@ class Task(Words):
     kind: Name
     inputs: Plain
     version: Text
+
+    @classmethod
+    def of(cls, request: Request) -> Task:
+        """The task that a typed request makes: its kind of worker, its canonical inputs, this release."""
+        return cls(kind=request.KIND, inputs=json.loads(request.model_dump_json()), version=__version__)
 
     @cached_property
     def id(self) -> str:
@@ -238,5 +254,6 @@ MESSAGES: dict[str, type[Words]] = {
     for model in (
         Failure, Submit, Outcome, Pending, Withdraw, Hello, Welcome, Pull, Lease, Nothing, Done, Receipt,
         Heartbeat, Cancel, Introduce, StatusAsked, Status, BlobAsked, BlobPiece,
+        Begin, Begun, Action, Step, Note, End, Ended,
     )
 }  # fmt: skip

@@ -7,7 +7,7 @@ import tempfile
 from pathlib import Path
 from typing import Self
 
-from pydantic import Field, ValidationError, field_validator, model_validator
+from pydantic import Field, ValidationError, ValidationInfo, field_validator, model_validator
 from pydantic_settings import (
     BaseSettings,
     PydanticBaseSettingsSource,
@@ -40,6 +40,7 @@ class Settings(BaseSettings):
     router: str = Field(DEFAULT_ROUTER, description="endpoint of the router")
     realm: str = Field("luxloop", pattern=r"^[a-z0-9][a-z0-9-]{0,40}$", description="separates sets on one router")
     cache: Path = Field(Path("~/.cache/luxloop"), description="film database, stored arrays, compiled kernels")
+    runs: Path = Field(Path("runs"), description="folder of the controller's runs, one folder each")
     effects: Path = Field(Path("effects"), description="folder of the user's own effects")
     heartbeat_s: float = Field(1.0, ge=0.01, le=10.0, description="how often a worker says how far it is")
     silence_s: float = Field(6.0, gt=0.0, le=600.0, description="a worker not heard for so long loses its task")
@@ -54,14 +55,15 @@ class Settings(BaseSettings):
     def _reachable(cls, router: str) -> str:
         return checked(router)
 
-    @field_validator("cache")
+    @field_validator("cache", "runs")
     @classmethod
-    def _somebodys(cls, cache: Path) -> Path:
+    def _somebodys(cls, folder: Path, field: ValidationInfo) -> Path:
         try:
-            cache.expanduser()
+            folder.expanduser()
         except RuntimeError as error:  # ~nosuchuser
-            raise InputError("cache", str(cache), "a folder", "name it without ~, or give it your own ~/") from error
-        return cache
+            mend = "name it without ~, or give it your own ~/"
+            raise InputError(field.field_name or "", str(folder), "a folder", mend) from error
+        return folder
 
     @model_validator(mode="after")
     def _silence_outlasts_beats(self) -> Self:
@@ -76,6 +78,11 @@ class Settings(BaseSettings):
     def cache_dir(self) -> Path:
         """The cache folder with `~` expanded."""
         return self.cache.expanduser()
+
+    @property
+    def runs_dir(self) -> Path:
+        """The folder of runs with `~` expanded."""
+        return self.runs.expanduser()
 
     @classmethod
     def settings_customise_sources(

@@ -66,7 +66,8 @@ def processes_with(setting: str) -> list[str]:
 @pytest.fixture
 def settings(tmp_path: Path) -> Settings:
     """Settings with a router port and a cache of their own."""
-    return Settings(router=free_endpoint(), cache=tmp_path / "cache", effects=tmp_path / "effects")
+    folders = {name: tmp_path / name for name in ("cache", "runs", "effects")}
+    return Settings(router=free_endpoint(), **folders)
 
 
 @pytest.fixture

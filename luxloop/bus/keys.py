@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from luxloop import campaign as c
 from luxloop import messages as m
 from luxloop.words import Words
 
@@ -39,6 +40,10 @@ KEYS: dict[str, Key] = {
     "heartbeat": Key("heartbeat/{kind}/{worker}", m.Heartbeat, None, "controller", SHORT_S, False),
     "cancel": Key("cancel/{kind}/{worker}", m.Cancel, None, "worker", SHORT_S, False),
     "blob": Key("blob/{sha256}/{worker}", m.BlobAsked, m.BlobPiece, "anybody", SHORT_S, False),
+    "begin": Key("begin", c.Begin, c.Begun, "controller", SHORT_S, True),
+    "act": Key("act/{name}", c.Action, c.Step, "controller", HOLD_S + 5.0, True),
+    "note": Key("note/{name}", c.Note, m.Receipt, "controller", SHORT_S, True),
+    "end": Key("end/{name}", c.End, c.Ended, "controller", 2.0 * SHORT_S, True),
     "alive": Key("alive/{role}/{kind}/{name}", m.Nothing, None, "anybody", SHORT_S, False),
 }
 

@@ -15,7 +15,7 @@ from pydantic import Field
 from luxloop.units import UNITS, unit_of
 from luxloop.words import Words
 
-ROOMS = ("luxloop", "containers", "env_controller", "validation", "viewer")
+ROOMS = ("luxloop", "agent", "containers", "env_controller", "validation", "viewer")
 
 PURE = {
     # of light and matter
@@ -57,11 +57,18 @@ PURE = {
     "epsilon": "probability",
     "q": "sum of rewards",
     "loss": "of rewards, squared",
+    "gamma": "discount",
+    "epsilon_first": "probability",
+    "epsilon_last": "probability",
+    "exploration": "share of a budget",
+    "learning_rate": "of Adam",
     # of a formula
     "exponent": "power of a scatter spectrum's fall",
 }
 UNIT_INSIDE = {
     "heard_s_ago": "seconds; reads as a sentence",
+    "walk_error_points": "points of uniformity",
+    "final_error_points": "points of uniformity",
     "target_error_points": "points of uniformity, of which 1 has 100",
 }
 

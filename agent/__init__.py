@@ -1,0 +1,1 @@
+"""The designing agent: proposes designs, learns from their steps; knows physics through those steps alone."""

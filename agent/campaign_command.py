@@ -1,0 +1,268 @@
+"""`luxloop campaign run|status|list`, `luxloop run`, `luxloop grid`: campaigns from the command line."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+
+from luxloop.errors import InputError
+from luxloop.settings import Settings, load_settings
+
+if TYPE_CHECKING:
+    from agent.config import Campaign
+    from agent.launch import Launched
+
+Method = Literal["monte_carlo", "twin"]
+RewardName = Literal["r1", "r2", "r3", "gain"]
+INTERRUPTED = 130
+QUICK_EVALUATIONS, QUICK_TIME_S = 150, 100.0
+"""Of `luxloop run`: with set-up and finalists it ends within three minutes on two cores."""
+
+Id = Annotated[str | None, typer.Option("--id", help="Of the run; none: the time and the designer's name.")]
+ModelName = Annotated[str, typer.Option("--model", help="paper, clear_chip, or a model file.")]
+Config = Annotated[Path | None, typer.Option(help="TOML file with settings; options go over it.")]
+DesignerName = Annotated[
+    str | None,
+    typer.Option(help="ddqn-fast (default), ddqn-paper, each with -random for random moves; pattern, random."),
+]
+BoundsName = Annotated[str | None, typer.Option("--bounds", help="paper-table3 (default) or paper-grid.")]
+Evaluations = Annotated[int | None, typer.Option(help="Different designs to evaluate at most; default 200.")]
+TimeLimit = Annotated[float | None, typer.Option("--time", help="Seconds after which the walk ends.")]
+Saturation = Annotated[
+    int | None, typer.Option(help="End after so many episodes without a gain above twice its error.")
+]
+RewardOption = Annotated[
+    RewardName | None, typer.Option("--reward", help="r1, r2, r3 as the paper has them, or gain.")
+]
+MethodOption = Annotated[Method | None, typer.Option("--method", help="Solver of the walk.")]
+WalkError = Annotated[float | None, typer.Option(help="Standard error of U in the walk, points; default 1.")]
+FinalError = Annotated[float | None, typer.Option(help="The same of the finalists; default 0.3.")]
+Lanes = Annotated[int | None, typer.Option(help="Designs under evaluation at once; default 4.")]
+Seed = Annotated[int | None, typer.Option(help="Of the designer and of all random numbers; default 1.")]
+NoLocal = Annotated[bool, typer.Option("--no-local", help="Use a running set only; start no processes.")]
+Runs = Annotated[Path | None, typer.Option(help="Folder of runs (else LUXLOOP_RUNS, else ./runs).")]
+Router = Annotated[str | None, typer.Option(help="Endpoint of the router (else LUXLOOP_ROUTER).")]
+Json = Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")]
+Quiet = Annotated[bool, typer.Option("--quiet", help="Say nothing on stderr but errors.")]
+
+
+def run(
+    run_id: Id = None,
+    model: ModelName = "paper",
+    config: Config = None,
+    designer: DesignerName = None,
+    bounds: BoundsName = None,
+    evaluations: Evaluations = None,
+    time_s: TimeLimit = None,
+    saturation: Saturation = None,
+    reward: RewardOption = None,
+    method: MethodOption = None,
+    walk_error: WalkError = None,
+    final_error: FinalError = None,
+    lanes: Lanes = None,
+    seed: Seed = None,
+    quick: Annotated[bool, typer.Option("--quick", help="A short campaign: 150 designs, 100 s at most.")] = False,
+    no_local: NoLocal = False,
+    runs: Runs = None,
+    router: Router = None,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Let a designer look for the most uniform backlight; every step is on record, the best are evaluated anew."""
+    if quick:
+        evaluations, time_s = evaluations or QUICK_EVALUATIONS, time_s or QUICK_TIME_S
+    settings = load_settings(router=router, runs=runs)
+    campaign = _campaign(
+        config, designer=designer, bounds=bounds, reward=reward, method=method, walk_error_points=walk_error,
+        final_error_points=final_error, lanes=lanes, seed=seed, stop__evaluations=evaluations, stop__time_s=time_s,
+        stop__episodes_without_gain=saturation,
+    )  # fmt: skip
+    launched = _launched(settings, campaign, model, run_id, no_local, as_json or quiet)
+    _tell(launched, as_json)
+
+
+def quick_run(
+    model: ModelName = "paper",
+    seed: Seed = None,
+    runs: Runs = None,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """The main job for a newcomer: a short campaign on real worker processes, then its report."""
+    from agent.report_command import write_report
+
+    settings = load_settings(runs=runs)
+    campaign = _campaign(None, seed=seed, stop__evaluations=QUICK_EVALUATIONS, stop__time_s=QUICK_TIME_S)
+    launched = _launched(settings, campaign, model, None, False, as_json or quiet)
+    page = None if launched.interrupted else write_report(settings.runs_dir / launched.run)
+    _tell(launched, as_json, page)
+
+
+def grid(
+    run_id: Id = None,
+    model: ModelName = "paper",
+    bounds: BoundsName = None,
+    step: Annotated[
+        str | None, typer.Option(help="Steps D,W,S,T,pairs instead of the bounds' own, e.g. 20,20,100,20,1.")
+    ] = None,
+    method: MethodOption = None,
+    walk_error: WalkError = None,
+    final_error: FinalError = None,
+    lanes: Lanes = None,
+    no_local: NoLocal = False,
+    runs: Runs = None,
+    router: Router = None,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """The paper's "entire loop": every design of the bounds that can be built; the best are evaluated anew."""
+    settings = load_settings(router=router, runs=runs)
+    chosen = _stepped(bounds or "paper-grid", step)
+    campaign = _campaign(
+        None, designer="grid", bounds=chosen, method=method, walk_error_points=walk_error,
+        final_error_points=final_error, lanes=lanes, stop__evaluations=10_000_000,
+    )  # fmt: skip
+    launched = _launched(settings, campaign, model, run_id, no_local, as_json or quiet, kind="grid")
+    _tell(launched, as_json)
+
+
+def list_(runs: Runs = None, as_json: Json = False) -> None:
+    """The runs in the results folder, the newest last."""
+    from agent.launch import runs_of
+    from agent.overview import overview
+
+    rows = [overview(folder) for folder in runs_of(load_settings(runs=runs))]
+    if as_json:
+        typer.echo(json.dumps({"runs": rows}))
+        return
+    for row in rows:
+        typer.echo(_line(row))
+    if not rows:
+        typer.echo("no runs yet: luxloop run")
+
+
+def status(
+    run: Annotated[str, typer.Argument(help="Id of a run.")], runs: Runs = None, as_json: Json = False
+) -> None:
+    """How far a run is, or what came of it: read from its journal, also while it is being written."""
+    from agent.overview import overview
+
+    row = overview(folder_of(load_settings(runs=runs), run))
+    if as_json:
+        typer.echo(json.dumps(row))
+        return
+    for name, value in row.items():
+        if not isinstance(value, dict | list):
+            typer.echo(f"{name:12} {value}")
+    for name in ("start", "best"):
+        if row.get(name):
+            typer.echo(f"{name:12} {in_words(row[name])}")
+
+
+def folder_of(settings: Settings, run: str) -> Path:
+    """The folder of a run by its id; a folder's path is one, too. Raises InputError naming the runs there are."""
+    from agent.launch import runs_of
+
+    for folder in (settings.runs_dir / run, Path(run)):
+        if any(folder.glob("audit-*.mcap")):
+            return folder
+    known = ", ".join(path.name for path in runs_of(settings)[-5:]) or "there is none yet"
+    raise InputError("run", run, f"the id of a run in {settings.runs_dir}: {known}", "luxloop campaign list")
+
+
+def _campaign(config: Path | None, **given: Any) -> Campaign:
+    from agent.config import read_campaign
+
+    return read_campaign(config, **given)
+
+
+def _stepped(name: str, step: str | None) -> Any:
+    """The bounds of a preset, with steps of one's own."""
+    from luxloop.design import Bounds, Design
+
+    bounds = Bounds.preset(name).model_dump()
+    if step is None:
+        return bounds
+    try:
+        values = [float(part) for part in step.split(",")]
+    except ValueError:
+        values = []
+    if len(values) != len(Design.FIELDS):
+        raise InputError("--step", step, "five numbers D,W,S,T,pairs", "for example 20,20,100,20,1")
+    return {**bounds, "step": Design.from_vector(values).model_dump()}
+
+
+def _launched(
+    settings: Settings,
+    campaign: Campaign,
+    model: str,
+    run: str | None,
+    no_local: bool,
+    quiet: bool,
+    kind: Literal["campaign", "grid"] = "campaign",
+) -> Launched:
+    from agent.launch import launch
+
+    show = sys.stderr.isatty() and not quiet
+    return launch(settings, campaign, model, run, kind=kind, local=not no_local, show=show)
+
+
+def _tell(launched: Launched, as_json: bool, page: Path | None = None) -> None:
+    """What was found; exit code 130 where it was interrupted."""
+    document = launched.document() | ({"report": str(page)} if page else {})
+    if as_json:
+        typer.echo(json.dumps(document))
+    else:
+        typer.echo("\n".join(as_text(document)))
+    if launched.interrupted:
+        raise typer.Exit(INTERRUPTED)
+
+
+def as_text(document: dict[str, Any]) -> list[str]:
+    """The lines a person reads at the end of a campaign."""
+    counts = f"{document['evaluations']} designs in {document['steps']} steps, {document['episodes']} episodes"
+    lines = [
+        f"run          {document['run']}: {document['reason']}",
+        f"evaluated    {counts}, {document['wall_s']:.0f} s",
+    ]
+    best, start, bare = (document[name] for name in ("best", "start", "without_dbr"))
+    if best:
+        lines.append(f"best         {in_words(best)}")
+        lines += [f"             {in_words(one)}" for one in document["finalists"][1:]]
+    if start:
+        lines.append(f"start        {in_words(start)}")
+    if bare:
+        lines.append(f"without DBR  {in_words(bare)}")
+    if best and start:
+        gain = 100.0 * (best["uniformity"] - start["uniformity"])
+        error = 100.0 * (best["uniformity_error"] ** 2 + start["uniformity_error"] ** 2) ** 0.5
+        lines.append(f"gained       {gain:+.2f} +- {error:.2f} points over the start")
+    lines.append(f"journal      {document['folder']}: {document['records']} records, root {document['root']}")
+    if "report" in document:
+        lines.append(f"report       {document['report']}")
+    else:
+        lines.append(f"next         luxloop campaign report {document['run']}")
+    return lines
+
+
+def in_words(one: dict[str, Any]) -> str:
+    """A finalist or a step in a line."""
+    from luxloop.design import Design
+
+    if one.get("failure"):
+        return f"failed: {one['failure']}"
+    lux = one.get("figures", {}).get("mean_illuminance_lx")
+    light = f", {lux['value']:,.0f} +- {lux['standard_error']:,.0f} lx" if lux else ""
+    uniformity, error = 100.0 * one["uniformity"], 100.0 * one["uniformity_error"]
+    return f"{uniformity:.2f} +- {error:.2f} %{light}  {Design(**one['design'])}"
+
+
+def _line(row: dict[str, Any]) -> str:
+    best = row.get("best")
+    state = "running" if row["running"] else "ended" if row["finished"] else "cut off"
+    found = f"best {100.0 * best['uniformity']:.2f} %" if best else "nothing yet"
+    return f"{row['run']:40} {row['kind']:9} {state:8} {row['steps']:>6} steps  {found}"

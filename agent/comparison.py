@@ -1,0 +1,72 @@
+"""Designers beside each other: equal budgets, several seeds, every run a journal of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from statistics import median
+from typing import Any
+
+from agent.campaign import Found
+from agent.config import Campaign
+
+WITHIN_POINTS = 0.5
+"""A run has come near where a design of its walk is this near to the best that any run of the comparison found."""
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One run of one designer: the walk's uniformities in the order of its evaluations, and what was found."""
+
+    designer: str
+    seed: int
+    uniformity: tuple[float, ...]
+    episodes: int
+    found: Found
+
+
+def compare(
+    campaign: Campaign, names: Sequence[str], seeds: Sequence[int], run: Callable[[Campaign, str], tuple[Found, Any]]
+) -> list[Trial]:
+    """Every designer with every seed; `run` takes the campaign and a name for its run, and returns what was found
+    and the uniformities of its walk."""
+    trials = []
+    for name in names:
+        for seed in seeds:
+            chosen = campaign.model_copy(update={"designer": name, "seed": seed, "learning": None, "reward": None})
+            found, walk = run(chosen, f"{name}-{seed}")
+            trials.append(Trial(name, seed, tuple(walk), found.progress.episodes, found))
+    return trials
+
+
+def rows(trials: Sequence[Trial]) -> list[dict[str, Any]]:
+    """A row a designer: best of the finalists (median, worst, best of the seeds), evaluations to come near, time."""
+    finals = [trial.found.best.uniformity for trial in trials if trial.found.best]
+    target = max((max(trial.uniformity, default=0.0) for trial in trials), default=0.0) - WITHIN_POINTS / 100.0
+    table = []
+    for name in dict.fromkeys(trial.designer for trial in trials):
+        own = [trial for trial in trials if trial.designer == name]
+        best = [trial.found.best.uniformity for trial in own if trial.found.best]
+        near = [evaluations_to(trial.uniformity, target) for trial in own]
+        came = [count for count in near if count is not None]
+        table.append(
+            {
+                "designer": name,
+                "runs": len(own),
+                "best_median": median(best) if best else None,
+                "best_worst": min(best, default=None),
+                "best_best": max(best, default=None),
+                "near": len(came),
+                "evaluations_to_near": median(came) if came else None,
+                "evaluations": median(len(trial.uniformity) for trial in own),
+                "wall_s": median(trial.found.progress.wall_s for trial in own),
+                "target": target,
+                "best_of_all": max(finals, default=None),
+            }
+        )
+    return table
+
+
+def evaluations_to(uniformity: Sequence[float], target: float) -> int | None:
+    """How many evaluations it took to reach the target; None where it was not reached."""
+    return next((count for count, found in enumerate(uniformity, 1) if found >= target), None)

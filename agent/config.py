@@ -1,0 +1,118 @@
+"""What a campaign is: which designer looks where, how well designs are evaluated, when it stops."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import Field, model_validator
+
+from agent.ddqn import Learning
+from agent.designers import NAMES, SEARCHES, learning_of
+from luxloop.campaign import Fidelity, Plan, Reward
+from luxloop.design import Bounds, Design
+from luxloop.errors import InputError
+from luxloop.model import Model
+from luxloop.words import Words, parse
+
+TWIN_HISTORIES = 131_072
+"""Exits that the twin lands where nothing else is said."""
+
+
+class Stop(Words):
+    """When a campaign has had enough; the first that is met ends it, and stands in its journal."""
+
+    evaluations: int = Field(200, ge=1, le=10**7, description="Different designs evaluated.")
+    time_s: float | None = Field(None, gt=0.0, le=1e7, description="Seconds since the first action; none: no limit.")
+    episodes_without_gain: int | None = Field(
+        None, ge=1, le=10**6, description="Episodes without a gain above twice its error; none: no limit."
+    )
+
+
+class Campaign(Words):
+    """All settings of a campaign; what is left out has its default."""
+
+    designer: str = Field("ddqn-fast", description="One of: " + ", ".join(NAMES) + ".")
+    learning: Learning | None = Field(None, description="A learner's settings; none: its preset.")
+    bounds: Bounds = Field(Bounds.preset("paper-table3"), description="Where to look, and the grid's steps.")
+    start: Design | None = Field(None, description="Where to begin; none: drawn from the grid.")
+    reward: Reward | None = Field(None, description="None: the designer's own, else gain.")
+    method: Literal["monte_carlo", "twin"] = Field("monte_carlo", description="Solver of the walk.")
+    walk_error_points: float = Field(1.0, ge=1e-3, le=100.0, description="Standard error of U in the walk.")
+    twin_histories: int = Field(TWIN_HISTORIES, ge=1, le=10**9, description="Exits the twin lands.")
+    final_error_points: float = Field(0.3, ge=1e-3, le=100.0, description="Standard error of U of the finalists.")
+    finalists: int = Field(5, ge=1, le=100, description="Best designs evaluated anew; they alone are reported.")
+    lanes: int = Field(4, ge=1, le=64, description="Designs under evaluation at once.")
+    seed: int = Field(1, ge=0, le=10**9, description="Of the designer's choices and of all random numbers.")
+    stop: Stop = Stop()
+
+    @model_validator(mode="after")
+    def _designer_is_known(self) -> Campaign:
+        if self.designer not in NAMES:
+            raise InputError("designer", self.designer, " or ".join(NAMES))
+        if self.learning is not None and self.designer in SEARCHES:
+            raise InputError("learning", self.designer, "a learner (ddqn-...)", "a search has nothing to set")
+        if self.start is not None and not self.bounds.contains(self.start):
+            raise InputError("start", str(self.start), f"from {self.bounds.low} to {self.bounds.high}")
+        return self
+
+    @property
+    def learner(self) -> Learning | None:
+        """The learner's settings, its budget that of the campaign where it has only a preset; None for a search."""
+        if self.designer in SEARCHES:
+            return None
+        if self.learning is not None:
+            return self.learning
+        return learning_of(self.designer).model_copy(update={"budget": self.stop.evaluations})
+
+    def plan(self, run: str, model: Model, source: str, *, kind: Literal["campaign", "grid"] = "campaign") -> Plan:
+        """What the controller is told of the run. `source` says where the model comes from, for people."""
+        learner = self.learner
+        seed = str(self.seed)
+        how: dict[str, Any] = (
+            {"histories": self.twin_histories}
+            if self.method == "twin"
+            else {"target_error_points": self.walk_error_points}
+        )
+        plain = {
+            "run": run,
+            "kind": kind,
+            "model": source,
+            "environment": model.environment,
+            "effects": model.effects,
+            "bounds": self.bounds,
+            "reward": self.reward or (learner.reward if learner else "gain"),
+            "walk": Fidelity(method=self.method, seed=seed, **how),
+            "final": Fidelity(target_error_points=self.final_error_points, budget_s=600.0),
+            "lanes": self.lanes,
+            "maps": kind == "campaign",
+        }
+        return parse(Plan, plain, "plan")
+
+
+def read_campaign(path: Path | None, **given: Any) -> Campaign:
+    """The settings in a TOML file (none: the defaults), what is given (not None) over them.
+
+    `bounds` may be a preset's name. Raises InputError naming file, field, value and range.
+    """
+    plain: dict[str, Any] = _toml(path) if path else {}
+    for name, value in given.items():
+        if value is not None:
+            part, _, field = name.partition("__")
+            if field:
+                plain[part] = {**plain.get(part, {}), field: value}
+            else:
+                plain[name] = value
+    if isinstance(plain.get("bounds"), str):
+        plain["bounds"] = Bounds.preset(plain["bounds"]).model_dump()
+    return parse(Campaign, plain, str(path) if path else "campaign")
+
+
+def _toml(path: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(path.read_text())
+    except OSError as error:
+        raise InputError("--config", str(path), "a TOML file that can be read", error.strerror or "") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError("--config", str(path), "TOML", str(error)) from error

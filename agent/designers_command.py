@@ -1,0 +1,101 @@
+"""`luxloop designers compare`: learners beside their rivals, on equal budgets."""
+
+from __future__ import annotations
+
+import json
+import sys
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from agent.campaign_command import (
+    BoundsName,
+    Config,
+    FinalError,
+    Json,
+    Lanes,
+    MethodOption,
+    ModelName,
+    NoLocal,
+    Quiet,
+    Router,
+    Runs,
+    WalkError,
+)
+from luxloop.errors import InputError
+from luxloop.settings import load_settings
+
+if TYPE_CHECKING:
+    from agent.campaign import Found
+    from agent.config import Campaign
+
+RIVALS = "ddqn-fast,ddqn-fast-random,pattern,random"
+
+
+def compare(
+    designers: Annotated[str, typer.Option(help="Names, with commas between.")] = RIVALS,
+    seeds: Annotated[int, typer.Option(min=1, max=100, help="Runs of each, with seeds 1, 2, ...")] = 3,
+    evaluations: Annotated[int, typer.Option(min=1, help="Different designs that each run may evaluate.")] = 100,
+    model: ModelName = "paper",
+    config: Config = None,
+    bounds: BoundsName = None,
+    method: MethodOption = None,
+    walk_error: WalkError = None,
+    final_error: FinalError = None,
+    lanes: Lanes = None,
+    no_local: NoLocal = False,
+    runs: Runs = None,
+    router: Router = None,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Let several designers look in the same place; how good what they found is, and how soon."""
+    from agent.comparison import compare as compared
+    from agent.comparison import rows
+    from agent.config import read_campaign
+    from agent.designers import NAMES
+    from agent.launch import launch, running_set
+
+    names = [name.strip() for name in designers.split(",") if name.strip()]
+    for name in names:
+        if name not in NAMES:
+            raise InputError("--designers", name, " or ".join(NAMES))
+    settings = load_settings(router=router, runs=runs)
+    campaign = read_campaign(
+        config, bounds=bounds, method=method, walk_error_points=walk_error, final_error_points=final_error,
+        lanes=lanes, stop__evaluations=evaluations,
+    )  # fmt: skip
+    show = sys.stderr.isatty() and not (as_json or quiet)
+    begun = f"{datetime.now(UTC):%Y%m%d-%H%M%S}"
+    with running_set(settings, local=not no_local) as shared:
+
+        def run(one: Campaign, name: str) -> tuple[Found, Any]:
+            launched = launch(shared, one, model, f"{begun}-{name}", local=False, show=show)
+            if launched.interrupted:
+                raise KeyboardInterrupt
+            return launched.found, launched.walk
+
+        table = rows(compared(campaign, names, range(1, seeds + 1), run))
+    typer.echo(json.dumps({"designers": table}) if as_json else "\n".join(as_text(table)))
+
+
+def as_text(table: list[dict[str, Any]]) -> list[str]:
+    """The table for a person."""
+    head = ("best, %: median", "worst", "best", "near", "to near", "s")
+    lines = ["{:18} {:>4} {:>15} {:>7} {:>7} {:>6} {:>7} {:>6}".format("designer", "runs", *head)]
+    for row in table:
+        best = [
+            "-" if row[name] is None else f"{100.0 * row[name]:.2f}"
+            for name in ("best_median", "best_worst", "best_best")
+        ]
+        near = "-" if row["evaluations_to_near"] is None else f"{row['evaluations_to_near']:g}"
+        lines.append(
+            f"{row['designer']:18} {row['runs']:>4} {best[0]:>15} {best[1]:>7} {best[2]:>7}"
+            f" {row['near']:>3} of {row['runs']:<2}{near:>6} {row['wall_s']:>6.0f}"
+        )
+    if table:
+        lines.append(
+            f"near: a design of the walk within 0.5 points of the best of all walks, {100.0 * table[0]['target']:.2f} %"
+        )
+    return lines

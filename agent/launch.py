@@ -1,0 +1,166 @@
+"""From settings to a finished run: client, run at the controller, designer, live view, result on record."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from importlib.metadata import distributions
+from pathlib import Path
+from typing import Any, Literal
+
+from agent.campaign import Found, Runner
+from agent.config import Campaign
+from agent.designers import designer
+from agent.live import live
+from agent.moves import Space
+from luxloop import __version__
+from luxloop.campaign import Ended
+from luxloop.client import Client
+from luxloop.door import RunDoor
+from luxloop.errors import InputError, LuxloopError
+from luxloop.model_file import find_model, to_toml
+from luxloop.settings import Settings, usable_cache
+from luxloop.words import canonical, sha256_of
+
+PATIENCE_S = 300.0  # a worker that starts for the first time compiles its kernels
+
+
+@dataclass(frozen=True)
+class Launched:
+    """A run that has ended: what was found, its journal's root, where it lies."""
+
+    run: str
+    found: Found
+    ended: Ended
+    interrupted: bool
+    walk: tuple[float, ...] = ()
+    """Uniformities of the walk's designs, in the order in which they were told."""
+
+    def document(self) -> dict[str, Any]:
+        """As one object for machines."""
+        return {
+            "run": self.run,
+            "folder": self.ended.folder,
+            "records": self.ended.records,
+            "root": self.ended.root,
+            "interrupted": self.interrupted,
+            **self.found.summary(),
+        }
+
+
+def launch(
+    settings: Settings,
+    campaign: Campaign,
+    model: str,
+    run: str | None = None,
+    *,
+    kind: Literal["campaign", "grid"] = "campaign",
+    local: bool = True,
+    show: bool = False,
+) -> Launched:
+    """Run a campaign to its end. Ctrl-C ends the walk after the steps under way; the journal is finished.
+
+    Raises InputError for settings that do not fit, RemoteError where the controller refuses or cannot be reached.
+    """
+    chosen = find_model(model)
+    name = run or f"{datetime.now(UTC):%Y%m%d-%H%M%S}-{campaign.designer}"
+    plan = campaign.plan(name, chosen, model, kind=kind)
+    refuse_taken_id(settings, name, local)
+    usable_cache(settings)
+    attachments = {
+        "model.toml": to_toml(chosen),
+        "campaign.json": canonical(campaign).decode(),
+        "packages.txt": packages(),
+    }
+    facts = {
+        "argv": sys.argv[1:],
+        "version": __version__,
+        "model_sha256": chosen.sha256,
+        "campaign_sha256": sha256_of(campaign),
+        "seed": str(campaign.seed),
+        "designer": campaign.designer,
+    }
+    space = Space.of(plan)
+    chooser = designer(
+        campaign.designer, space, seed=campaign.seed, lanes=campaign.lanes, start=campaign.start,
+        learning=campaign.learner,
+    )  # fmt: skip
+    with (
+        interruptible() as interrupted,
+        Client(settings, local=local, patience_s=PATIENCE_S) as client,
+        RunDoor.begin(client, plan, facts, attachments) as door,
+        live(show, name, campaign.stop.evaluations, client) as look,
+    ):
+        runner = Runner(
+            door, chooser, campaign.stop, lanes=campaign.lanes, seed=campaign.seed, look=look,
+            stop_wanted=interrupted.is_set,
+        )  # fmt: skip
+        found = runner.run(campaign.finalists, without_dbr=kind == "campaign")
+        door.note(result=found.summary())
+        walk = tuple(chooser.known.uniformity.values())
+        return Launched(name, found, door.end(found.reason), interrupted.is_set(), walk)
+
+
+@contextmanager
+def running_set(settings: Settings, *, local: bool) -> Iterator[Settings]:
+    """Settings of a set that runs: one that answers already, or one of our own for as long as this lasts."""
+    usable_cache(settings)
+    with Client(settings, local=local, patience_s=PATIENCE_S) as client:
+        yield client.settings
+
+
+def refuse_taken_id(settings: Settings, name: str, local: bool) -> None:
+    """InputError where a run of that id lies in our own folder: before anything is started."""
+    folder = settings.runs_dir / name
+    if local and folder.exists():
+        raise InputError(
+            "--id", name, f"an id that {settings.runs_dir} does not hold", "take another, or leave it out"
+        )
+
+
+@contextmanager
+def interruptible() -> Iterator[threading.Event]:
+    """An event that the first Ctrl-C or SIGTERM sets; the second Ctrl-C interrupts at once."""
+    event = threading.Event()
+
+    def note(_number: int, _frame: Any) -> None:
+        if event.is_set():
+            raise KeyboardInterrupt
+        event.set()
+        if sys.stderr.isatty():
+            sys.stderr.write("\nfinishing the steps under way; once more to leave at once\n")
+
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    in_main = threading.current_thread() is threading.main_thread()
+    if in_main:
+        for number in before:
+            signal.signal(number, note)
+    try:
+        yield event
+    finally:
+        if in_main:
+            for number, handler in before.items():
+                signal.signal(number, handler)
+
+
+def packages() -> str:
+    """The installed distributions, one a line."""
+    found = {f"{one.metadata['Name']}=={one.version}" for one in distributions() if one.metadata["Name"]}
+    return "\n".join(sorted(found, key=str.lower)) + "\n"
+
+
+def runs_of(settings: Settings) -> list[Path]:
+    """The folders of runs, the newest last."""
+    folder = settings.runs_dir
+    try:
+        found = [path for path in folder.iterdir() if any(path.glob("audit-*.mcap"))]
+    except OSError as error:
+        if isinstance(error, FileNotFoundError):
+            return []
+        raise LuxloopError(f"{folder}: {error.strerror}") from error
+    return sorted(found, key=lambda path: path.stat().st_mtime)

@@ -1,0 +1,101 @@
+"""What a person sees while a campaign runs: one table on the terminal, renewed as steps come in."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+from agent.campaign import Progress
+from luxloop.campaign import Step
+from luxloop.errors import LuxloopError
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from luxloop.client import Client
+
+RENEW_S = 0.25
+ASK_S = 2.0  # how often the controller is asked for its workers
+
+
+@contextmanager
+def live(show: bool, title: str, evaluations: int, client: Client) -> Iterator[Callable[[Progress], None]]:
+    """A function that is given the progress after each step; it draws where `show`."""
+    if not show:
+        yield lambda _: None
+        return
+    from rich.console import Console
+    from rich.live import Live
+
+    view = View(title, evaluations, client)
+    with Live(console=Console(stderr=True), auto_refresh=False, transient=True) as screen:
+
+        def look(progress: Progress) -> None:
+            if view.due():
+                screen.update(view.table(progress), refresh=True)
+
+        yield look
+
+
+class View:
+    """The table; it asks the controller for its workers now and then."""
+
+    def __init__(self, title: str, evaluations: int, client: Client) -> None:
+        self._title, self._evaluations, self._client = title, evaluations, client
+        self._drawn_s, self._asked_s, self._workers = 0.0, 0.0, "?"
+
+    def due(self) -> bool:
+        """Whether it is time to draw again."""
+        now_s = time.monotonic()
+        if now_s - self._drawn_s < RENEW_S:
+            return False
+        self._drawn_s = now_s
+        return True
+
+    def table(self, seen: Progress) -> Table:
+        """The rows a person wants: where it is, what is best, how fast, how long still."""
+        from rich.progress_bar import ProgressBar
+        from rich.table import Table
+
+        table = Table.grid(padding=(0, 2))
+        rate = seen.steps / seen.wall_s if seen.wall_s > 0.0 else 0.0
+        left = self._evaluations - seen.evaluations
+        per_evaluation_s = seen.wall_s / seen.evaluations if seen.evaluations else 0.0
+        table.add_row(self._title, ProgressBar(self._evaluations, min(seen.evaluations, self._evaluations), width=40))
+        table.add_row("stage", seen.stage)
+        table.add_row("evaluations", f"{seen.evaluations} of {self._evaluations}, {seen.episodes} episodes")
+        table.add_row("now", in_words(seen.last))
+        table.add_row("best of the walk", in_words(seen.best))
+        if seen.epsilon is not None:
+            table.add_row("random moves", f"{100.0 * seen.epsilon:.0f} %")
+        table.add_row("workers", self._busy())
+        table.add_row("pace", f"{rate:.1f} steps/s, about {max(left, 0) * per_evaluation_s:.0f} s left")
+        return table
+
+    def _busy(self) -> str:
+        if time.monotonic() - self._asked_s > ASK_S:
+            self._asked_s = time.monotonic()
+            try:
+                workers = self._client.status().workers
+                kinds = sorted({worker.describe.kind for worker in workers})
+                of_kind = {kind: [one for one in workers if one.describe.kind == kind] for kind in kinds}
+                self._workers = ", ".join(
+                    f"{sum(bool(one.task_id) for one in ours)} of {len(ours)} {kind} busy"
+                    for kind, ours in of_kind.items()
+                )
+            except LuxloopError:
+                self._workers = "the controller does not answer"
+        return self._workers or "none yet: one that starts for the first time compiles for a minute"
+
+
+def in_words(step: Step | None) -> str:
+    """A step in a line: uniformity with its error, the design."""
+    if step is None:
+        return "-"
+    if step.failure is not None:
+        return f"failed: {step.failure.message}"
+    if not step.feasible:
+        return f"cannot be built: {step.design}"
+    return f"{100.0 * step.uniformity:.2f} +- {100.0 * step.uniformity_error:.2f} %  {step.design}"

@@ -1,0 +1,47 @@
+"""What a run came to so far, from its journal alone."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from luxloop.campaign import Step
+from luxloop.journal.reader import RunJournal
+
+
+def overview(folder: Path) -> dict[str, Any]:
+    """Id, kind, state, counts, the start and the best: of the finalists where there are some, else of the walk."""
+    journal = RunJournal(folder)
+    facts = journal.metadata("run")
+    steps = list(journal.steps())
+    sound = [step for step in steps if step.failure is None and step.feasible]
+    finals = [step for step in sound if step.final]
+    walk = [step for step in sound if not step.final]
+    best = max(walk, key=lambda step: step.uniformity, default=None)
+    if finals and best is not None:  # the start and the bare design are final, too, and no candidates for the best
+        candidates = [step for step in finals if step.design.dbr_pairs > 0.0 or best.design.dbr_pairs == 0.0]
+        best = max(candidates, key=lambda step: step.uniformity, default=best)
+    return {
+        "run": facts.get("run", folder.name),
+        "kind": facts.get("kind", ""),
+        "model": facts.get("model", ""),
+        "running": journal.being_written,
+        "finished": (folder / "audit.sha256").exists(),
+        "steps": len(steps),
+        "evaluations": len({tuple(step.design.as_vector()) for step in walk}),
+        "failed": sum(step.failure is not None for step in steps),
+        "folder": str(folder.resolve()),
+        "start": plain(walk[0]) if walk else None,
+        "best": plain(best) if best else None,
+    }
+
+
+def plain(step: Step) -> dict[str, Any]:
+    """The figures of a step as plain values."""
+    return {
+        "design": step.design.model_dump(),
+        "uniformity": step.uniformity,
+        "uniformity_error": step.uniformity_error,
+        "figures": step.figures,
+        "final": step.final,
+    }

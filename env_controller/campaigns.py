@@ -1,0 +1,287 @@
+"""The runs that are open: their journals, the questions of their lanes, and what the agent wants done.
+
+A step is told to its designer once it is on the disk. All of it happens in the dispatcher's thread but for `done` of
+a journal, which comes from the writer's: what both touch is guarded by a lock.
+"""
+
+from __future__ import annotations
+
+import heapq
+import threading
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import NamedTuple
+
+from env_controller import actions as a
+from env_controller.audit.machine import machine
+from env_controller.environment import EnvironmentAgent
+from luxloop.bus import Asked
+from luxloop.bus.frame import Array, decode, encode
+from luxloop.bus.keys import HOLD_S
+from luxloop.campaign import Action, Begin, Begun, End, Ended, Note, Step
+from luxloop.errors import LuxloopError, RemoteError
+from luxloop.failure import Failure
+from luxloop.journal.journal import Journal
+from luxloop.journal.topics import (
+    Record,
+    log_record,
+    map_record,
+    note_records,
+    opening,
+    reply_record,
+    request_record,
+    step_record,
+)
+from luxloop.messages import Nothing, Outcome, Receipt, Task
+
+SILENT_S = 120.0  # a designer not heard of for so long has gone: its run is closed
+BEST_MAPS = 100  # of a grid run, those whose maps are kept
+FINISHED = 64  # runs whose end is told again to who asks again
+
+
+class Result(NamedTuple):
+    """A task that has ended."""
+
+    task: Task
+    outcome: Outcome
+    arrays: Mapping[str, Array]
+
+
+@dataclass
+class LaneDoor:
+    """What a lane's designer asked last, what it was told, and its open question."""
+
+    action: Action
+    told: bytes | None = None
+    asked: Asked | None = None
+    until_s: float = 0.0
+
+
+@dataclass
+class OpenRun:
+    """A run between its begin and its end."""
+
+    begin: Begin
+    journal: Journal
+    heard_s: float
+    lanes: dict[int, LaneDoor] = field(default_factory=dict)
+    sequence: int = 0
+    best: list[float] = field(default_factory=list)  # heap of a grid's best uniformities
+    error: LuxloopError | None = None
+
+
+class Campaigns:
+    """All runs of a controller. `want` and `unwant` submit and withdraw tasks; `ended` is told what came of them."""
+
+    def __init__(self, folder: Path, want: Callable[[a.Want], None], unwant: Callable[[str], None]) -> None:
+        self.agent = EnvironmentAgent()
+        self._folder, self._want, self._unwant = folder, want, unwant
+        self._runs: dict[str, OpenRun] = {}
+        self._finished: dict[str, tuple[str, Ended]] = {}
+        self._lock = threading.Lock()
+
+    @property
+    def runs(self) -> tuple[str, ...]:
+        """The ids of the open runs."""
+        return tuple(self._runs)
+
+    def begin(self, asked: Asked, begin: Begin) -> None:
+        """Open a run's journal. A run that exists is not opened again, but the same begin may be asked twice."""
+        name, now_s = begin.plan.run, time.monotonic()
+        folder = self._folder / name
+        run = self._runs.get(name)
+        if run is None:
+            if folder.exists():
+                raise _refused(f"the run {name!r} exists in {self._folder}", "take another id, or move that folder")
+            facts, attachments = opening(begin)
+            journal = Journal(folder, {"run": facts, "environment": machine()}, attachments)
+            run = self._runs[name] = OpenRun(begin, journal, now_s)
+            self.agent.handle(a.Opened(now_s, begin.plan))
+        elif run.begin != begin:
+            raise _refused(f"the run {name!r} is in use by {run.begin.designer}", "take another id")
+        asked.reply(Begun(run=name, folder=str(folder.resolve()), segment=run.journal.number))
+
+    def act(self, asked: Asked, action: Action) -> None:
+        """Carry out an action, or say again what came of it; the question is held until that is known."""
+        run, now_s = self._open(action.run, action.designer), time.monotonic()
+        if run.error is not None:
+            raise run.error
+        lane = run.lanes.get(action.lane)
+        if lane is None or lane.action.number != action.number:
+            commands = self.agent.handle(a.Acted(now_s, action))  # refuses what cannot be meant
+            with self._lock:
+                lane = run.lanes[action.lane] = LaneDoor(action)
+            self._hold(lane, asked, now_s)
+            self._perform(commands)
+        elif lane.action != action:
+            raise _refused(f"action {action.number} of lane {action.lane} was another one", "number actions once")
+        else:
+            self._hold(lane, asked, now_s)
+
+    def note(self, asked: Asked, note: Note) -> None:
+        """Put on record what a designer wants there; answered once it is on the disk."""
+        run = self._open(note.run, note.designer)
+
+        def done(error: LuxloopError | None) -> None:
+            asked.reply(_failure(error) if error else Receipt(accepted=True))
+
+        run.journal.put(note_records(note, run.sequence, time.time_ns()), done)
+
+    def end(self, asked: Asked, end: End) -> None:
+        """Finish a run's journal; records and root go back."""
+        designer, ended = self._finished.get(end.run, ("", None))
+        if ended is None or designer != end.designer:
+            self._open(end.run, end.designer)
+            ended = self._close(end.run, end.reason)
+        asked.reply(ended)
+
+    def ended(self, result: Result) -> None:
+        """A task that was wanted here has ended."""
+        outcome = result.outcome
+        event = a.Ended(time.monotonic(), result.task.id, outcome.result, outcome.failure, outcome.compute_s)
+        self._perform(self.agent.handle(event), result)
+
+    def tick(self, now_s: float) -> None:
+        """Let go of questions whose hold is over, and of runs whose designer has gone."""
+        for name, run in list(self._runs.items()):
+            with self._lock:
+                for lane in run.lanes.values():
+                    if lane.asked is not None and now_s > lane.until_s:
+                        lane.asked.reply(Nothing())
+                        lane.asked = None
+                waited_for = any(lane.asked is not None for lane in run.lanes.values())
+            if not waited_for and now_s - run.heard_s > SILENT_S:
+                self._close(name, f"nothing heard of its designer {run.begin.designer} for {SILENT_S:g} s", lost=True)
+
+    def stop(self) -> None:
+        """The controller ends: every journal is finished."""
+        for name in list(self._runs):
+            self._close(name, "the controller was stopped", lost=True)
+
+    def _open(self, name: str, designer: str) -> OpenRun:
+        run = self._runs.get(name)
+        if run is None:
+            raise _refused(f"no run {name!r} is open here", "begin it first; a run ends with its controller")
+        if run.begin.designer != designer:
+            raise _refused(f"the run {name!r} is in use by {run.begin.designer}", "one designer at a time")
+        run.heard_s = time.monotonic()
+        return run
+
+    def _hold(self, lane: LaneDoor, asked: Asked, now_s: float) -> None:
+        """Keep the question until its step is known; an older one on the same action is let go."""
+        with self._lock:
+            if lane.told is not None:
+                asked.answer(lane.told)
+                return
+            if lane.asked is not None:
+                lane.asked.reply(Nothing())
+            lane.asked, lane.until_s = asked, now_s + HOLD_S
+
+    def _perform(self, commands: list[a.Command], result: Result | None = None) -> None:
+        """Do what the agent wants; what goes on one run's record becomes durable together."""
+        records: dict[str, list[Record]] = {}
+        steps: dict[str, list[Step]] = {}
+        for command in commands:
+            match command:
+                case a.Want():
+                    self._want(command)
+                case a.Unwant():
+                    self._unwant(command.task_id)
+                case a.Record() if result is not None:
+                    run = self._runs[command.run]
+                    records.setdefault(command.run, []).extend(_of_task(result, run.sequence))
+                case a.Tell():
+                    name, run = command.step.run, self._runs[command.step.run]
+                    of_run = records.setdefault(name, [])
+                    if result is not None and self._map_wanted(run, command.step):
+                        of_run.append(map_record(result.arrays["map_lx"], run.sequence, time.time_ns()))
+                    of_run.append(step_record(command.step, run.sequence, time.time_ns()))
+                    agent = run.lanes[command.step.lane].action.agent
+                    if agent is not None:
+                        note = Note(run=name, designer=run.begin.designer, agent=agent)
+                        of_run.extend(note_records(note, run.sequence, time.time_ns()))
+                    steps.setdefault(name, []).append(command.step)
+                    run.sequence += 1
+        for name, of_run in records.items():
+            self._commit(self._runs[name], of_run, steps.get(name, []))
+
+    @staticmethod
+    def _map_wanted(run: OpenRun, step: Step) -> bool:
+        """Every step's where the plan says so; of a grid those of the best so far."""
+        if step.cached or step.failure is not None or not step.feasible:
+            return False
+        if run.begin.plan.maps or step.final:
+            return True
+        if run.begin.plan.kind != "grid":
+            return False
+        heapq.heappush(run.best, step.uniformity)
+        return len(run.best) <= BEST_MAPS or heapq.heappop(run.best) < step.uniformity
+
+    def _commit(self, run: OpenRun, records: list[Record], steps: list[Step]) -> None:
+        def done(error: LuxloopError | None) -> None:
+            with self._lock:
+                run.error = run.error or error
+                for step in steps:
+                    self._answer(run.lanes[step.lane], error, step)
+
+        try:
+            run.journal.put(records, done)
+        except LuxloopError as error:
+            done(error)
+
+    @staticmethod
+    def _answer(lane: LaneDoor, error: LuxloopError | None, step: Step) -> None:
+        """Tell the step to who waits, or to who asks next."""
+        frame = encode(_failure(error) if error else step)
+        if error is None:
+            lane.told = frame
+        if lane.asked is not None:
+            lane.asked.answer(frame)
+            lane.asked = None
+
+    def _close(self, name: str, reason: str, *, lost: bool = False) -> Ended:
+        """End a run: nothing more is computed for it, its journal is finished."""
+        run = self._runs.pop(name)
+        self._perform(self.agent.handle(a.Closed(time.monotonic(), name)))
+        with self._lock:
+            for lane in run.lanes.values():
+                if lane.asked is not None:
+                    lane.asked.reply(_refused(f"the run {name!r} has ended: {reason}", "").failure)
+                    lane.asked = None
+        try:
+            run.journal.put([log_record(f"ended: {reason}", run.sequence, time.time_ns())], lambda _: None)
+            mark = run.journal.finish()
+        except LuxloopError:
+            if not lost:
+                raise
+            mark = None
+        finally:
+            run.journal.close()
+        ended = Ended(run=name, records=mark.records if mark else 0, root=mark.root if mark else "0" * 64,
+                      folder=str((self._folder / name).resolve()))  # fmt: skip
+        self._finished[name] = run.begin.designer, ended
+        while len(self._finished) > FINISHED:
+            del self._finished[next(iter(self._finished))]
+        return ended
+
+
+def result_of(task: Task, frame: bytes) -> Result:
+    """A task's outcome frame, decoded; arrays that went by hash are left out."""
+    parcel = decode(frame)
+    return Result(task, parcel.expect(Outcome), parcel.arrays)
+
+
+def _of_task(result: Result, sequence: int) -> list[Record]:
+    now_ns = time.time_ns()
+    request = request_record(result.task, sequence, now_ns)
+    return [request, reply_record(result.task.kind, result.outcome, result.arrays, sequence, now_ns)]
+
+
+def _failure(error: LuxloopError) -> Failure:
+    return error.failure if isinstance(error, RemoteError) else Failure.of(error, "controller")
+
+
+def _refused(message: str, mend: str) -> RemoteError:
+    return RemoteError(Failure(code="refused", message=message, mend=mend, where="controller"))

@@ -1,0 +1,263 @@
+"""The environment-control agent: from an action to a state and its reward. Pure: an event in, commands out, no I/O.
+
+    Acted ─▶ design ─▶ can it be built? ─no─────────────────────────────▶ Tell(uniformity 0, the reason)
+                            │ yes
+                            ▼
+                    is its film's table known? ─no─▶ Want(film) ··· Ended ─┐
+                            │ yes                                          │
+                            ▼◀─────────────────────────────────────────────┘
+                    is the design's result known? ─no─▶ Want(ray) ··· Ended ─▶ Record, Tell(state, reward)
+                            │ yes
+                            └──────────────────────────────────────────▶ Tell(the same again, cached)
+
+Lanes are independent, so workers of both kinds have work at once. Films of the neighbouring pair counts are wanted
+ahead of time. `story` tells what happened to an action.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from env_controller import actions as a
+from env_controller.rewards import reward_of
+from env_controller.trials import Lane, Run, Trial, film_task, ray_task
+from luxloop.campaign import Action, Plan, Step, figures_of
+from luxloop.design import LENGTH_DECIMALS, Design, nearest_half
+from luxloop.errors import InputError
+from luxloop.failure import Failure
+from luxloop.ray import Film
+
+NEIGHBOURS = (-0.5, 0.5, -1.0, 1.0)  # pairs: the films that a next step may need
+FILM_RETRIES = 2  # a table may have gone with who held it
+STORIES = 1000
+KNOWN = 200_000  # results of a run that are kept, some 1 kB each
+
+
+class EnvironmentAgent:
+    """All runs that are open. `handle` is the only way to change it."""
+
+    def __init__(self) -> None:
+        self.runs: dict[str, Run] = {}
+        self._trials: dict[str, list[Trial]] = {}  # by the task they wait for
+        self._ahead: dict[str, set[tuple[str, float]]] = {}  # runs and pairs, by film task
+        self._stories: OrderedDict[tuple[str, int, int], list[str]] = OrderedDict()
+        self._rules: dict[type[a.Event], Callable[[Any], list[a.Command]]] = {
+            a.Opened: self._opened,
+            a.Acted: self._acted,
+            a.Ended: self._ended,
+            a.Closed: self._closed,
+        }
+
+    def handle(self, event: a.Event) -> list[a.Command]:
+        """The commands that follow from one event. Raises InputError for an action that cannot be meant."""
+        return self._rules[type(event)](event)
+
+    def story(self, run: str, lane: int, number: int) -> list[str]:
+        """What happened to an action, one line each, oldest first."""
+        return list(self._stories.get((run, lane, number), []))
+
+    def _opened(self, event: a.Opened) -> list[a.Command]:
+        self.runs[event.plan.run] = Run(event.plan)
+        return []
+
+    def _closed(self, event: a.Closed) -> list[a.Command]:
+        self.runs.pop(event.run, None)
+        commands: list[a.Command] = []
+        for task_id, trials in list(self._trials.items()):
+            self._trials[task_id] = [trial for trial in trials if trial.run != event.run]
+            if not self._trials[task_id]:
+                del self._trials[task_id]
+                commands.append(a.Unwant(task_id))
+        for task_id, wishes in list(self._ahead.items()):
+            self._ahead[task_id] = {wish for wish in wishes if wish[0] != event.run}
+            if not self._ahead[task_id]:
+                del self._ahead[task_id]
+                commands.append(a.Unwant(task_id))
+        return commands
+
+    def _acted(self, event: a.Acted) -> list[a.Command]:
+        action = event.action
+        run = self._run(action.run)
+        lane = self._lane(run, action)
+        design = self._aim(run.plan, lane, action)
+        if design is None:
+            return self._blocked(event, run, lane)
+        lane.number, lane.busy = action.number, True
+        trial = Trial(action.run, action, design, event.at_s)
+        self._tell(trial, event.at_s, f"to be evaluated: {design}")
+        reason = design.feasibility(run.plan.environment.distance_from, run.plan.environment.spacing_is)
+        if reason is not None:
+            return [self._told(run, trial, event.at_s, uniformity=0.0, feasible=False, reason=reason)]
+        return self._film_first(run, trial, event.at_s)
+
+    def _run(self, name: str) -> Run:
+        if name not in self.runs:
+            raise InputError("run", name, "a run that is open here", "begin it first")
+        return self.runs[name]
+
+    def _lane(self, run: Run, action: Action) -> Lane:
+        if action.lane >= run.plan.lanes:
+            raise InputError("lane", action.lane, f"0 to {run.plan.lanes - 1}, as planned")
+        lane = run.lanes.setdefault(action.lane, Lane())
+        if lane.busy or action.number != lane.number + 1:
+            allowed = f"{lane.number + 1} once {lane.number} is answered" if lane.busy else str(lane.number + 1)
+            raise InputError("number", action.number, allowed, "a lane's actions are numbered from 0, one at a time")
+        return lane
+
+    def _aim(self, plan: Plan, lane: Lane, action: Action) -> Design | None:
+        """The design that an action asks for; None for a move out of the bounds."""
+        if action.design is not None:
+            if not action.final and not plan.bounds.contains(action.design):
+                allowed = f"from {plan.bounds.low} to {plan.bounds.high}"
+                raise InputError("design", str(action.design), allowed, "stay within the run's bounds")
+            return action.design
+        if lane.design is None or action.move is None:
+            raise InputError("move", str(action.move), "a design", "a lane begins with a design")
+        name = action.move.variable
+        low, high, step = (getattr(end, name) for end in (plan.bounds.low, plan.bounds.high, plan.bounds.step))
+        value = getattr(lane.design, name) + action.move.steps * step
+        value = nearest_half(value) if name == "dbr_pairs" else round(value, LENGTH_DECIMALS)
+        return lane.design.model_copy(update={name: value}) if low <= value <= high else None
+
+    def _blocked(self, event: a.Acted, run: Run, lane: Lane) -> list[a.Command]:
+        """A move out of the bounds: the lane stays where it is."""
+        action, design = event.action, lane.design
+        assert design is not None  # noqa: S101  # `_moved` looked
+        lane.number, lane.busy = action.number, True
+        trial = Trial(action.run, action, design, event.at_s)
+        reason = f"the move leads out of the bounds of {action.move.variable}" if action.move else ""
+        self._tell(trial, event.at_s, reason)
+        return [self._told(run, trial, event.at_s, uniformity=lane.uniformity or 0.0, reason=reason, cached=True)]
+
+    def _film_first(self, run: Run, trial: Trial, at_s: float) -> list[a.Command]:
+        pairs = trial.design.dbr_pairs
+        if pairs == 0.0:
+            return self._ray(run, trial, None, at_s)
+        ahead = self._films_ahead(run, pairs)
+        if pairs in run.films:
+            trial.film_task, film = run.films[pairs]
+            return [*self._ray(run, trial, film, at_s), *ahead]
+        trial.film_task = film_task(run.plan, pairs)
+        self._trials.setdefault(trial.film_task.id, []).append(trial)
+        self._tell(trial, at_s, f"waits for the film of {pairs:g} pairs")
+        return [a.Want(trial.run, trial.film_task), *ahead]
+
+    def _films_ahead(self, run: Run, pairs: float) -> list[a.Command]:
+        """Films that a next step may need, those within the bounds that are neither known nor wanted."""
+        low, high = run.plan.bounds.low.dbr_pairs, run.plan.bounds.high.dbr_pairs
+        commands: list[a.Command] = []
+        for near in (pairs + change for change in NEIGHBOURS):
+            if not max(low, 0.5) <= near <= high or near in run.films:
+                continue
+            task, wish = film_task(run.plan, near), (run.plan.run, near)
+            wishes = self._ahead.setdefault(task.id, set())
+            if wish not in wishes:
+                wishes.add(wish)
+                commands.append(a.Want(run.plan.run, task, ahead=True))
+        return commands
+
+    def _ray(self, run: Run, trial: Trial, film: Film | None, at_s: float) -> list[a.Command]:
+        trial.ray_task = ray_task(run.plan, trial.action, trial.design, film)
+        known = run.results.get(trial.ray_task.id)
+        if known is not None:
+            return [self._evaluated(run, trial, known, at_s)]
+        self._trials.setdefault(trial.ray_task.id, []).append(trial)
+        self._tell(trial, at_s, "waits for its rays")
+        return [a.Want(trial.run, trial.ray_task, group=film.sha256 if film else "")]
+
+    def _ended(self, event: a.Ended) -> list[a.Command]:
+        trials = self._trials.pop(event.task_id, [])
+        ahead = self._ahead.pop(event.task_id, set())
+        runs = list(dict.fromkeys([*(trial.run for trial in trials), *(run for run, _ in ahead)]))
+        commands: list[a.Command] = [a.Record(run, event.task_id) for run in runs if run in self.runs]
+        if any(trial.ray_task is None for trial in trials) or ahead:
+            self._keep_film(event, trials, ahead)
+        for trial in trials:
+            commands += self._go_on(self.runs[trial.run], trial, event)
+        return commands
+
+    def _keep_film(self, event: a.Ended, trials: list[Trial], ahead: set[tuple[str, float]]) -> None:
+        if event.result is None:
+            return
+        film = Film(sha256=event.result["table_sha256"], bytes=event.result["table_bytes"])
+        wishes = ahead | {(trial.run, trial.design.dbr_pairs) for trial in trials}
+        for name, pairs in wishes:
+            if name in self.runs:
+                self.runs[name].films[pairs] = film_task(self.runs[name].plan, pairs), film
+
+    def _go_on(self, run: Run, trial: Trial, event: a.Ended) -> list[a.Command]:
+        """What follows for one action from a task's end."""
+        trial.physics_s += event.compute_s
+        if trial.ray_task is None and event.failure is None:
+            self._tell(trial, event.at_s, "has its film")
+            return self._ray(run, trial, run.films[trial.design.dbr_pairs][1], event.at_s)
+        if event.failure is None and event.result is not None:
+            trial.computed = True
+            run.results[event.task_id] = event.result
+            while len(run.results) > KNOWN:
+                run.results.popitem(last=False)
+            return [self._evaluated(run, trial, event.result, event.at_s)]
+        failure = event.failure or Failure(code="crashed", message="no result")
+        lost_film = failure.code == "not_found" and failure.field == "film"
+        if lost_film and trial.film_task is not None and trial.film_tries < FILM_RETRIES:
+            trial.film_tries += 1
+            trial.ray_task = None
+            run.films.pop(trial.design.dbr_pairs, None)
+            self._trials.setdefault(trial.film_task.id, []).append(trial)
+            self._tell(trial, event.at_s, "its film has gone, it is computed again")
+            return [a.Want(trial.run, trial.film_task, fresh=True)]
+        self._tell(trial, event.at_s, f"failed: {failure.text()}")
+        return [self._told(run, trial, event.at_s, uniformity=0.0, failure=failure)]
+
+    def _evaluated(self, run: Run, trial: Trial, result: dict[str, Any], at_s: float) -> a.Tell:
+        metrics = result["metrics"]
+        found = metrics["uniformity"]
+        return self._told(
+            run,
+            trial,
+            at_s,
+            uniformity=float(found["value"]),
+            uniformity_error=float(found["standard_error"]),
+            figures=figures_of(metrics),
+            cached=not trial.computed,
+        )
+
+    def _told(self, run: Run, trial: Trial, at_s: float, **found: Any) -> a.Tell:
+        """The step of an action, and the lane where it leads; a finalist leaves its lane where it was."""
+        action = trial.action
+        lane = run.lanes[action.lane]
+        lane.busy = False
+        failed = found.get("failure") is not None
+        uniformity = found["uniformity"]
+        worth = 0.0 if failed or action.final else reward_of(run.plan.reward, uniformity, lane.uniformity)
+        if action.move is None:  # a beginning: nothing was gained
+            worth = 0.0 if failed or action.final else reward_of(run.plan.reward, uniformity, None)
+        if not action.final:
+            lane.design, lane.uniformity = trial.design, None if failed else uniformity
+        self._tell(trial, at_s, f"uniformity {uniformity:.4f}, reward {worth:.4f}")
+        x = np.clip(run.plan.bounds.normalise(trial.design), -1.0, 1.0)
+        step = Step(
+            run=action.run,
+            lane=action.lane,
+            number=action.number,
+            design=trial.design,
+            state=tuple(map(float, x)),
+            reward=worth,
+            final=action.final,
+            task_id=trial.ray_task.id if trial.ray_task else None,
+            film_task_id=trial.film_task.id if trial.film_task else None,
+            physics_s=trial.physics_s,
+            controller_s=max(at_s - trial.since_s, 0.0),
+            **found,
+        )
+        return a.Tell(step)
+
+    def _tell(self, trial: Trial, at_s: float, what: str) -> None:
+        key = trial.run, trial.action.lane, trial.action.number
+        self._stories.setdefault(key, []).append(f"{at_s:.3f} {what}")
+        while len(self._stories) > STORIES:
+            self._stories.popitem(last=False)

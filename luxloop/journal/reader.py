@@ -1,0 +1,176 @@
+"""A run's journal read back: all segments in order, also those that were never finished or are being written now.
+
+    for step in RunJournal(folder).steps(): ...
+
+A finished segment is read by its index: 16,000 steps open without being read. The order is that of writing.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import deque
+from collections.abc import Iterable, Iterator
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from mcap.data_stream import ReadDataStream
+from mcap.records import Chunk, Message
+from mcap.stream_reader import breakup_chunk
+from mcap.summary import Summary
+from numpy.typing import NDArray
+
+from luxloop.campaign import Step
+from luxloop.errors import InputError, LuxloopError
+from luxloop.journal.chain import Mark
+from luxloop.journal.scan import BROKEN, Scan, record_of, summary_of
+from luxloop.journal.segment import FORMAT, PATTERN, being_written
+from luxloop.journal.topics import CHAIN, TOPICS, LearnerRecord, Record
+
+RECORD_HEAD_BYTES = 9  # opcode and length
+
+
+class SegmentReader:
+    """One segment, by its index where it is finished, else by reading it from its beginning."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    @cached_property
+    def index(self) -> Summary | None:
+        """The index; None where the segment is not finished, or damaged."""
+        with self.path.open("rb") as file:
+            try:
+                return summary_of(file)
+            except BROKEN:
+                return None
+
+    @cached_property
+    def opening(self) -> tuple[dict[str, dict[str, str]], dict[str, bytes]]:
+        """Metadata and attachments, by name; empty where not even they were committed."""
+        first = next(iter(Scan(self.path)), None)
+        kinds: dict[str, dict[str, bytes]] = {"metadata": {}, "attachment": {}}
+        for link in first.links if first else ():
+            kind, _, name = link.topic.partition("/")
+            kinds[kind][name] = link.data
+        return {name: json.loads(data) for name, data in kinds["metadata"].items()}, kinds["attachment"]
+
+    def records(self, topics: Iterable[str] = ()) -> Iterator[Record]:
+        """The records of these topics (all but `/chain` where none is named), in the order of writing.
+
+        Raises LuxloopError naming the file where it cannot be read as its index says.
+        """
+        wanted = frozenset(topics) or TOPICS.keys() - {CHAIN}
+        if self.index is not None:
+            for chunk in self._chunks(self.index, wanted, newest_first=False):
+                yield from chunk
+            return
+        for commit in Scan(self.path):
+            found = (*commit.links, commit.checkpoint)
+            yield from (link for link in found if isinstance(link, Record) and link.topic in wanted)
+
+    def last(self, topic: str, count: int) -> list[Record]:
+        """The last records of a topic, in the order of writing."""
+        if self.index is None:
+            return list(deque(self.records([topic]), count))
+        found: list[Record] = []
+        for chunk in self._chunks(self.index, {topic}, newest_first=True):
+            found = chunk + found
+            if len(found) >= count:
+                break
+        return found[-count:]
+
+    def _chunks(self, index: Summary, topics: Iterable[str], newest_first: bool) -> Iterator[list[Record]]:
+        """The records of these topics, chunk by chunk."""
+        wanted = {number: channel.topic for number, channel in index.channels.items() if channel.topic in topics}
+        places = sorted(index.chunk_indexes, key=lambda place: place.chunk_start_offset, reverse=newest_first)
+        with self.path.open("rb") as file:
+            for place in places:
+                if wanted.keys().isdisjoint(place.message_index_offsets):
+                    continue
+                file.seek(place.chunk_start_offset + RECORD_HEAD_BYTES)
+                try:
+                    parts = breakup_chunk(Chunk.read(ReadDataStream(file)), validate_crc=True)
+                except BROKEN as error:
+                    raise LuxloopError(f"{self.path}: damaged ({error}); see `luxloop audit verify`") from error
+                yield [
+                    record_of(part, wanted)
+                    for part in parts
+                    if isinstance(part, Message) and part.channel_id in wanted
+                ]
+
+
+class RunJournal:
+    """The journal in a run's folder. It may grow while it is read: what is seen is what was there when asked."""
+
+    def __init__(self, folder: Path) -> None:
+        """Raises InputError where there is no such folder, or no journal in it."""
+        self.folder = folder
+        if not folder.is_dir():
+            raise InputError("run", str(folder), "the folder of a run", "see `luxloop campaign list`")
+        self.segments = [SegmentReader(path) for path in segments_of(folder)]
+        if not any(segment.opening[0].get("run", {}).get("journal") == FORMAT for segment in self.segments):
+            seen = f"{len(self.segments)} file(s) {PATTERN}, none with the beginning of a journal of format {FORMAT}"
+            raise InputError(str(folder), seen, "the folder of a run with its journal", "name another folder")
+
+    def metadata(self, name: str) -> dict[str, str]:
+        """Facts by which the run was opened: `run` or `environment`, of its last start."""
+        found = [segment.opening[0][name] for segment in self.segments if name in segment.opening[0]]
+        return found[-1] if found else {}
+
+    def attachments(self) -> dict[str, bytes]:
+        """The attached files by name; of several starts the last one's counts."""
+        return {name: data for segment in self.segments for name, data in segment.opening[1].items()}
+
+    def records(self, *topics: str) -> Iterator[Record]:
+        """The records of these topics (all but `/chain` where none is named), in the order of writing."""
+        for segment in self.segments:
+            yield from segment.records(topics)
+
+    def last(self, topic: str, count: int) -> list[Record]:
+        """The last records of a topic, in the order of writing."""
+        found: list[Record] = []
+        for segment in reversed(self.segments):
+            if len(found) < count:
+                found = segment.last(topic, count - len(found)) + found
+        return found
+
+    def steps(self) -> Iterator[Step]:
+        """All steps of the run."""
+        return (entry.value for entry in self.records("/step"))
+
+    def learner(self) -> Iterator[LearnerRecord]:
+        """What the learner was like, action by action."""
+        return (entry.value for entry in self.records("/agent"))
+
+    def maps(self) -> Iterator[tuple[int, NDArray[np.float32]]]:
+        """Sequence of its step, and map (y, x) in lx, row 0 at the lowest y."""
+        return ((entry.sequence, entry.value) for entry in self.records("/map/sim"))
+
+    @property
+    def being_written(self) -> bool:
+        """Whether a living process holds the last segment open."""
+        return being_written(self.segments[-1].path)
+
+
+def segments_of(folder: Path) -> list[Path]:
+    """The segments in a folder, in their order."""
+    return sorted((path for path in folder.glob(PATTERN) if number_of(path)), key=number_of)
+
+
+def number_of(path: Path) -> int:
+    """The number of a segment, from 1, by its name; 0 where the name is none."""
+    digits = path.stem.rpartition("-")[2]
+    return int(digits) if digits.isascii() and digits.isdigit() else 0
+
+
+def tail_of(folder: Path) -> Mark:
+    """How far the chain of a run has come: after its last committed record, in whichever segment that is.
+
+    Raises InputError where a file in the folder is somebody else's.
+    """
+    for path in reversed(segments_of(folder)):
+        last = deque(Scan(path), 1)
+        if last:
+            return last[0].mark
+    return Mark()

@@ -1,0 +1,186 @@
+"""A segment read from its beginning, commit by commit, up to its end or to where it breaks off.
+
+This is the way into a segment whose process was killed, or still lives: the usual readers of such files want an
+index at the end and give nothing without it. A batch of records counts only with the mark of the chain behind it, so
+what is read is what was committed, and perhaps one batch more whose acknowledgement was on its way.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+import zlib
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, cast
+
+import zstandard
+from mcap.exceptions import EndOfFile, McapError
+from mcap.opcode import Opcode
+from mcap.reader import SeekingReader
+from mcap.records import Attachment, Channel, Chunk, DataEnd, Header, McapRecord, Message, Metadata
+from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.summary import Summary
+from mcap.writer import MCAP0_MAGIC
+
+from luxloop.errors import InputError
+from luxloop.journal.chain import Link, Mark
+from luxloop.journal.segment import PROFILE, attachment_link, metadata_link
+from luxloop.journal.topics import CHAIN, Checkpoint, Record
+
+BROKEN = (McapError, ValueError, KeyError, OverflowError, MemoryError, struct.error, zstandard.ZstdError)
+"""What reading bytes that are not as they were written may raise."""
+RECORD_LIMIT_BYTES = 256 << 20
+FOOTER = struct.Struct("<BQQQI8s")
+
+
+@dataclass(frozen=True)
+class Commit:
+    """What became durable together: metadata and attachments first of all, then records; and the chain's mark.
+
+    `checkpoint` is the record on `/chain` that says the mark.
+    """
+
+    links: tuple[Link, ...]
+    mark: Mark
+    checkpoint: Record
+
+
+class Scan:
+    """The commits of one segment. Iterate once; then it is known how the segment ends.
+
+    `finished`: it was closed with index and root, `final`. Else `torn`: it breaks off, as after a kill, with
+    `left_bytes` after the `read_bytes` to the last commit. `fault` says what is wrong with it otherwise. `before` is
+    the mark from which its chain goes on, as it says itself.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.finished, self.torn, self.fault = False, False, ""
+        self.before, self.final = Mark(), Mark()
+        self.read_bytes = self.left_bytes = 0
+        self._channels: dict[int, str] = {}
+        self._pending: list[Link] = []
+        self._count = 0
+
+    def __iter__(self) -> Iterator[Commit]:
+        """Raises InputError where the file is no segment of a journal, OSError where it cannot be read."""
+        with self.path.open("rb") as file:
+            _refuse_foreign(file)
+            bounded = _Bounded(file)
+            try:
+                stream = StreamReader(cast(IO[bytes], bounded), False, True, True, RECORD_LIMIT_BYTES)
+                for item in stream.records:
+                    yield from self._take(item)
+                    if not self._pending:
+                        self.read_bytes = bounded.tell()
+            except (EndOfFile, struct.error):
+                self.torn = not bounded.was_closed()
+                self.fault = "" if self.torn else "it was finished, and breaks off in the middle"
+            except BROKEN as error:
+                self.fault = str(error) or type(error).__name__
+            else:
+                self._end(file)
+            self.left_bytes = bounded.size_bytes - self.read_bytes
+
+    def _take(self, item: McapRecord) -> Iterator[Commit]:
+        match item:
+            case Metadata(name="chain"):
+                self.final = _mark(item.metadata["records"], item.metadata["root"])
+            case Metadata():
+                if item.name == "run":
+                    self.before = _mark(item.metadata["records_before"], item.metadata["root_before"])
+                    self._count = self.before.records
+                self._pending.append(metadata_link(item.name, item.metadata))
+            case Attachment():
+                self._pending.append(attachment_link(item.name, item.log_time, item.data))
+            case Chunk():
+                for part in breakup_chunk(item, validate_crc=True):
+                    yield from self._take(part)
+            case Channel():
+                self._channels[item.id] = item.topic
+            case Message():
+                yield from self._message(item)
+            case DataEnd(data_section_crc=0):
+                raise ValueError("the checksum over the data is missing")
+            case _:
+                pass
+
+    def _message(self, message: Message) -> Iterator[Commit]:
+        entry = record_of(message, self._channels)
+        if entry.topic != CHAIN:
+            self._pending.append(entry)
+            return
+        mark = Mark(entry.value.records, entry.value.root)
+        if mark.records != self._count + len(self._pending):
+            raise ValueError(f"{mark.records} records are counted where {self._count + len(self._pending)} were read")
+        yield Commit(tuple(self._pending), mark, entry)
+        self._pending, self._count = [], mark.records
+
+    def _end(self, file: IO[bytes]) -> None:
+        """The file was read to its end: what must be true of a finished one."""
+        if self.final == Mark() or self._pending:
+            self.fault = "it ends without the root of its chain"
+        elif summary_of(file) is None:
+            self.fault = "its index does not match its checksum"
+        else:
+            self.finished = True
+
+
+def record_of(message: Message, topics: dict[int, str]) -> Record:
+    """A message as a record. Raises KeyError for a channel nobody announced, InputError for an unknown topic."""
+    return Record(topics[message.channel_id], message.sequence, message.log_time, message.data)
+
+
+def summary_of(file: IO[bytes]) -> Summary | None:
+    """The index of a finished segment, checked against its checksum; None where there is none that holds."""
+    size_bytes = os.fstat(file.fileno()).st_size
+    if size_bytes < len(MCAP0_MAGIC) + FOOTER.size:
+        return None
+    file.seek(size_bytes - FOOTER.size)
+    tail = file.read(FOOTER.size)
+    opcode, _, start, _, crc, magic = FOOTER.unpack(tail)
+    if opcode != Opcode.FOOTER or magic != MCAP0_MAGIC or not 0 < start <= size_bytes - FOOTER.size:
+        return None
+    file.seek(start)
+    body = file.read(size_bytes - FOOTER.size - start)
+    if crc == 0 or zlib.crc32(body + tail[: FOOTER.size - 12]) != crc:
+        return None
+    file.seek(0)
+    return SeekingReader(file).get_summary()
+
+
+def _mark(records: str, root: str) -> Mark:
+    """A mark out of metadata. Raises ValueError where it is none."""
+    checked = Checkpoint.model_validate({"records": records, "root": root})
+    return Mark(checked.records, checked.root)
+
+
+def _refuse_foreign(file: IO[bytes]) -> None:
+    """Raise InputError for an MCAP file that somebody else wrote."""
+    header = None
+    with suppress(*BROKEN):  # what is wrong with it is said by whoever reads on
+        header = next(StreamReader(file, record_size_limit=RECORD_LIMIT_BYTES).records)
+    file.seek(0)
+    if isinstance(header, Header) and header.profile != PROFILE:
+        raise InputError(str(file.name), f"an MCAP file of {header.library!r}", "a journal of luxloop")
+
+
+class _Bounded:
+    """A file as long as it was when it was opened: its writer may be at work."""
+
+    def __init__(self, file: IO[bytes]) -> None:
+        self._file, self.size_bytes = file, os.fstat(file.fileno()).st_size
+
+    def read(self, size: int) -> bytes:
+        left = self.size_bytes - self._file.tell()
+        return self._file.read(left if size < 0 else min(size, left))
+
+    def tell(self) -> int:
+        return self._file.tell()
+
+    def was_closed(self) -> bool:
+        self._file.seek(max(0, self.size_bytes - len(MCAP0_MAGIC)))
+        return self.read(len(MCAP0_MAGIC)) == MCAP0_MAGIC and self.size_bytes > len(MCAP0_MAGIC)

@@ -1,0 +1,215 @@
+"""The campaign's loop, with a controller in this process: order of turns, reasons to stop, finalists."""
+
+from __future__ import annotations
+
+import random
+import threading
+import time
+from typing import Any
+
+import pytest
+
+from agent.campaign import Found, Runner, fresh_seed
+from agent.config import Campaign, Stop, read_campaign
+from agent.designers import designer
+from agent.moves import Space
+from luxloop.campaign import Action, Step
+from luxloop.design import Bounds, Design
+from luxloop.errors import InputError
+from luxloop.failure import Failure
+from luxloop.model import Model
+from luxloop.model_file import find_model
+from tests.objectives import Controller
+
+BOUNDS = Bounds.preset("paper-table3")
+
+
+class Door:
+    """A controller that answers after a random while, and notes who asked for what."""
+
+    def __init__(self, delays: int | None = None, failing: tuple[int, ...] = (), **options: Any) -> None:
+        self.run, self.designer = "one", "d"
+        self.controller = Controller("A", **options)
+        self.actions: list[Action] = []
+        self._random = None if delays is None else random.Random(delays)
+        self._failing, self._lock = failing, threading.Lock()
+
+    def act(self, action: Action) -> Step:
+        if self._random is not None:
+            time.sleep(self._random.random() * 0.004)
+        with self._lock:
+            self.actions.append(action)
+            step = self.controller.act(action)
+            if len(self.actions) in self._failing:
+                failure = Failure(code="worker_lost", message="three attempts")
+                step = step.model_copy(update={"failure": failure, "uniformity": 0.0})
+            return step
+
+
+def found(door: Door, name: str = "ddqn-fast", lanes: int = 3, seed: int = 5, **stop: Any) -> tuple[Found, Runner]:
+    """What a campaign came to."""
+    stop = stop or {"evaluations": 60}
+    campaign = Campaign(designer=name, lanes=lanes, seed=seed, stop=Stop(**stop))
+    chooser = designer(name, Space(BOUNDS), seed=seed, lanes=lanes, learning=campaign.learner)
+    runner = Runner(door, chooser, campaign.stop, lanes=lanes, seed=seed)
+    return runner.run(campaign.finalists), runner
+
+
+def walked(door: Door) -> list[tuple[int, int, Any, Any]]:
+    """The actions of the walk by lane and number: what was proposed, with which weights."""
+    walk = [action for action in door.actions if not action.final]
+    rows = [(a.lane, a.number, a.design or a.move, a.agent.weights_sha256 if a.agent else "") for a in walk]
+    return sorted(rows, key=lambda row: row[:2])
+
+
+def test_the_trajectory_does_not_depend_on_who_answers_first() -> None:
+    """Every proposal and every weight hash is the same with other delays."""
+    doors = [Door(), Door(delays=1), Door(delays=2)]
+    for door in doors:
+        found(door)
+    assert walked(doors[0]) == walked(doors[1]) == walked(doors[2])
+    assert len(walked(doors[0])) >= 60
+
+
+def test_another_seed_goes_another_way() -> None:
+    """And its finalists have other random numbers."""
+    one, other = Door(), Door()
+    found(one, seed=5)
+    found(other, seed=6)
+    assert walked(one) != walked(other)
+    assert {a.seed for a in one.actions if a.final}.isdisjoint({a.seed for a in other.actions if a.final})
+
+
+def test_the_best_are_evaluated_anew_and_they_alone_are_reported() -> None:
+    """Five different designs, the best of the walk, each with its own seed; the best of them is the result."""
+    door = Door()
+    result, runner = found(door)
+    finals = [action for action in door.actions if action.final]
+    assert len(finals) == 7
+    assert len({action.seed for action in finals}) == 7
+    best_of_walk = sorted(runner._designer.known.uniformity.values(), reverse=True)[:5]
+    assert len(result.finalists) == 5
+    assert [step.uniformity for step in result.finalists] == sorted(
+        (step.uniformity for step in result.finalists), reverse=True
+    )
+    assert result.best is result.finalists[0]
+    assert result.summary()["best"]["uniformity"] == result.finalists[0].uniformity
+    keys = {tuple(step.design.as_vector()) for step in result.finalists}
+    assert {runner._designer.known.uniformity[key] for key in keys} == set(best_of_walk)
+    assert result.start is not None
+    assert result.start.design == runner.progress.first.design  # type: ignore[union-attr]
+    assert result.without_dbr is not None
+    assert result.without_dbr.design == result.best.design.model_copy(update={"dbr_pairs": 0.0})  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize(
+    ("stop", "reason"),
+    [
+        ({"evaluations": 7}, "budget: 7 evaluations"),
+        ({"evaluations": 10_000, "time_s": 1e-6}, "time: 0 s"),
+        ({"evaluations": 10_000, "episodes_without_gain": 3}, "saturation"),
+    ],
+)
+def test_a_campaign_ends_for_a_stated_reason(stop: dict[str, Any], reason: str) -> None:
+    """Budget, time, saturation; what is under way then is still taken."""
+    door = Door()
+    result, runner = found(door, **stop)
+    assert result.reason.startswith(reason)
+    assert runner.progress.steps == len([a for a in door.actions if not a.final])
+
+
+def test_a_grid_ends_when_all_of_it_was_seen() -> None:
+    """Every design that can be built, once."""
+    bounds = BOUNDS.model_copy(update={"step": Design.from_vector((80.0, 45.0, 200.0, 25.0, 2.5))})
+    door = Door()
+    runner = Runner(door, designer("grid", Space(bounds), seed=1, lanes=2), Stop(evaluations=10**6), lanes=2, seed=1)
+    result = runner.run(3, without_dbr=False)
+    seen = [tuple(a.design.as_vector()) for a in door.actions if a.design and not a.final]
+    assert len(seen) == len(set(seen)) == bounds.count
+    assert "nothing more" in result.reason
+    assert result.without_dbr is None
+
+
+def test_failed_steps_are_survived_and_never_the_best() -> None:
+    """Their lanes begin anew; the campaign ends as planned."""
+    door = Door(failing=(1, 2, 9, 20))
+    result, runner = found(door)
+    assert result.reason == "budget: 60 evaluations"
+    assert runner.progress.evaluations >= 60
+    assert all(step.failure is None for step in result.finalists)
+
+
+def test_an_interrupted_campaign_takes_what_is_under_way_and_ends() -> None:
+    """No finalists; the reason says so."""
+    door = Door()
+    chooser = designer("random", Space(BOUNDS), seed=1, lanes=2)
+    runner = Runner(door, chooser, Stop(evaluations=50), lanes=2, seed=1, stop_wanted=lambda: len(door.actions) > 9)
+    result = runner.run(5)
+    assert result.reason == "interrupted"
+    assert result.finalists == ()
+    assert runner.progress.steps == len(door.actions)
+
+
+def test_a_door_that_breaks_ends_the_campaign_with_its_error() -> None:
+    """Nothing hangs."""
+
+    class Broken(Door):
+        def act(self, action: Action) -> Step:
+            raise RuntimeError(f"gone, {action.lane} too")
+
+    with pytest.raises(RuntimeError, match="gone"):
+        found(Broken())
+
+
+def test_fresh_seeds_are_fresh() -> None:
+    """Of campaign, purpose and number; within the bounds of a seed."""
+    seeds = {fresh_seed(seed, what, number) for seed in (1, 2) for what in ("a", "b") for number in range(20)}
+    assert len(seeds) == 80
+    assert all(0 <= int(seed) < 10**19 for seed in seeds)
+
+
+def test_a_plan_says_what_the_controller_must_know() -> None:
+    """Reward of the learner, seed of all designs, fidelities; a grid keeps no maps but the best."""
+    model = find_model("paper")
+    assert isinstance(model, Model)
+    plan = Campaign(designer="ddqn-paper", seed=9).plan("one", model, "paper")
+    assert (plan.reward, plan.walk.seed, plan.walk.target_error_points) == ("r1", "9", 1.0)
+    assert Campaign(method="twin").plan("one", model, "paper").walk.histories == 131_072
+    assert not Campaign(designer="grid").plan("one", model, "paper", kind="grid").maps
+
+
+@pytest.mark.parametrize(
+    ("text", "field"),
+    [
+        ("designer = 'nobody'", "designer"),
+        ("colour = 1", "colour"),
+        ("lanes = 0", "lanes"),
+        ("[stop]\nevaluations = 0", "stop.evaluations"),
+        ("designer = 'pattern'\n[learning]\ngamma = 0.5", "learning"),
+        ("bounds = 'none'", "bounds"),
+        ("lanes = ", "--config"),
+    ],
+)
+def test_settings_that_cannot_be_meant_are_refused(text: str, field: str, tmp_path: Any) -> None:
+    """By file, field, value and range."""
+    path = tmp_path / "campaign.toml"
+    path.write_text(text)
+    with pytest.raises(InputError) as caught:
+        read_campaign(path)
+    assert field in caught.value.field
+
+
+def test_options_go_over_the_file(tmp_path: Any) -> None:
+    """Those that are given; the rest of the file stands."""
+    path = tmp_path / "campaign.toml"
+    path.write_text("seed = 4\nlanes = 2\n[stop]\nevaluations = 9\ntime_s = 5.0")
+    campaign = read_campaign(path, seed=7, lanes=None, stop__evaluations=11)
+    assert (campaign.seed, campaign.lanes, campaign.stop.evaluations, campaign.stop.time_s) == (7, 2, 11, 5.0)
+
+
+def test_bounds_without_a_feasible_design_are_refused() -> None:
+    """When the plan is made, naming why."""
+    low = Design.from_vector((10.0, 10.0, 300.0, 30.0, 4.5))
+    bounds = Bounds(low=low, high=low.model_copy(update={"distance_um": 20.0}), step=BOUNDS.step)
+    with pytest.raises(ValueError, match="a box with a feasible design"):
+        Campaign(bounds=bounds).plan("one", find_model("paper"), "paper")

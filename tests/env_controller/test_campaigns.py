@@ -1,0 +1,345 @@
+"""Runs at the controller, message by message: opened, acted in, recorded, ended; whoever does what wrong."""
+
+from __future__ import annotations
+
+import errno
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from env_controller import campaigns
+from env_controller.dispatcher import Dispatcher
+from luxloop import __version__
+from luxloop.bus import Asked
+from luxloop.bus.frame import decode, encode
+from luxloop.bus.keys import HOLD_S, at
+from luxloop.campaign import Action, AgentRecord, Begin, Begun, End, Ended, Fidelity, Move, Note, Plan, Step
+from luxloop.design import Bounds, Design
+from luxloop.failure import Failure
+from luxloop.journal import reader
+from luxloop.journal.topics import Record
+from luxloop.messages import Describe, Done, Hello, Lease, Nothing, Outcome, Pull, Receipt
+from luxloop.model import Environment
+from luxloop.settings import Settings
+from luxloop.words import Words
+from tests.local_bus import LocalBus, LocalRouter
+
+DESIGN = Design.from_vector((150.0, 30.0, 500.0, 20.0, 5.5))
+WAIT_S = 5.0
+
+
+def plan(run: str = "one", **changes: Any) -> Plan:
+    """A campaign on the bounds of Table 3."""
+    given: dict[str, Any] = {
+        "run": run, "environment": Environment(), "bounds": Bounds.preset("paper-table3"), "lanes": 2,
+        "walk": Fidelity(target_error_points=1.0), "final": Fidelity(target_error_points=0.3),
+    }  # fmt: skip
+    return Plan(**(given | changes))
+
+
+class Question:
+    """A question that was put, and what was answered; None while it is held."""
+
+    def __init__(self, key: str, frame: bytes) -> None:
+        self.frames: list[bytes] = []
+        self.asked = Asked(key, frame, self.frames.append, lambda: None)
+
+    @property
+    def message(self) -> Words | None:
+        assert len(self.frames) <= 1, "answered twice"
+        return decode(self.frames[0]).message if self.frames else None
+
+    def wait(self) -> Words:
+        """What is answered once it is on the disk."""
+        end_s = time.monotonic() + WAIT_S
+        while not self.frames and time.monotonic() < end_s:
+            time.sleep(0.002)
+        assert self.message is not None, "no answer"
+        return self.message
+
+
+class Desk:
+    """A controller whose inbox we are, with one worker of each kind that answers by hand."""
+
+    def __init__(self, folder: Path) -> None:
+        self.controller = Dispatcher(LocalBus(LocalRouter()), Settings(runs=folder))
+        self.uniformity = 0.8
+        for kind in ("film", "ray"):
+            self.hello(kind)
+
+    def put(self, row: str, message: Words, arrays: Any = None, **parts: str) -> Question:
+        question = Question(at("luxloop", row, **parts), encode(message, arrays))
+        self.controller.take(question.asked)
+        return question
+
+    def hello(self, kind: str) -> None:
+        describe = Describe(worker=f"{kind}-1", kind=kind, version=__version__, host="h", pid=1)
+        self.put("hello", Hello(describe=describe), kind=kind)
+
+    def begin(self, one: Plan | None = None, designer: str = "d", **more: Any) -> Words | None:
+        return self.put("begin", Begin(plan=one or plan(), designer=designer, **more)).message
+
+    def act(self, number: int = 0, lane: int = 0, run: str = "one", designer: str = "d", **what: Any) -> Question:
+        what = what or {"design": DESIGN}
+        action = Action(run=run, designer=designer, lane=lane, number=number, **what)
+        return self.put("act", action, name=run)
+
+    def work(
+        self, kind: str, result: dict[str, Any] | None = None, arrays: Any = None, **outcome: Any
+    ) -> Words | None:
+        """Let the worker of a kind take a task and answer it; its receipt, None where there was no task."""
+        worker = f"{kind}-1"
+        pulled = self.put("pull", Pull(worker=worker, kind=kind, epoch=self.controller.epoch), kind=kind)
+        lease = pulled.message
+        if not isinstance(lease, Lease):
+            return None
+        if "failure" not in outcome:
+            outcome |= {"result": result or self.answer(kind)}
+            arrays = {"map_lx": np.full((4, 4), 7.0)} if kind == "ray" and arrays is None else arrays
+        done = Done(
+            worker=worker, kind=kind, attempt=lease.attempt, epoch=lease.epoch,
+            outcome=Outcome(task_id=outcome.pop("task_id", lease.task.id), worker=worker, compute_s=0.1, **outcome),
+        )  # fmt: skip
+        return self.put("done", done, arrays, kind=kind).message
+
+    def answer(self, kind: str) -> dict[str, Any]:
+        if kind == "film":
+            return {"table_sha256": "f" * 64, "table_bytes": 9}
+        return {"metrics": {"uniformity": {"value": self.uniformity, "standard_error": 0.01}}, "ledger_defect": 0.0}
+
+    def evaluated(self, number: int = 0, **what: Any) -> Step:
+        """The step of an action, its tasks answered by the workers."""
+        question = self.act(number, **what)
+        while question.message is None and (self.work("film") or self.work("ray")):
+            pass
+        step = question.wait()
+        assert isinstance(step, Step), step
+        return step
+
+    def end(self, run: str = "one", designer: str = "d") -> Words | None:
+        return self.put("end", End(run=run, designer=designer, reason="enough"), name=run).message
+
+
+@pytest.fixture
+def desk(tmp_path: Path) -> Iterator[Desk]:
+    """A controller whose runs lie in a folder of their own."""
+    desk = Desk(tmp_path / "runs")
+    yield desk
+    desk.controller._campaigns.stop()
+
+
+def written(folder: Path, run: str = "one") -> list[Record]:
+    """The records of a run."""
+    return list(reader.RunJournal(folder / "runs" / run).records())
+
+
+def refusal(message: Words | None) -> Failure:
+    """The failure that an answer is."""
+    assert isinstance(message, Failure), message
+    return message
+
+
+def test_a_run_from_begin_to_end_is_on_record(desk: Desk, tmp_path: Path) -> None:
+    """Request, reply and map of each task, the steps in order, the learner's notes, the end and its reason."""
+    begun = desk.begin(attachments={"model.toml": "x = 1"}, facts={"argv": ["campaign"]})
+    assert isinstance(begun, Begun)
+    first = desk.evaluated(0)
+    desk.uniformity = 0.85
+    second = desk.evaluated(1, move=Move(variable="width_um", steps=1))
+    agent = AgentRecord(lane=0, number=1, epsilon=0.5, loss=0.25)
+    noted = desk.put("note", Note(run="one", designer="d", agent=agent, log="hello"), name="one").wait()
+    assert noted == Receipt(accepted=True)
+    ended = desk.end()
+    assert isinstance(ended, Ended)
+    records = written(tmp_path)
+    topics = [record.topic for record in records if record.topic != "/chain"]
+    assert [topic for topic in topics if topic == "/step"] == ["/step"] * 2
+    assert topics.index("/request/film") < topics.index("/reply/film") < topics.index("/request/ray")
+    assert topics.index("/reply/ray") < topics.index("/step")
+    assert {"/map/sim", "/agent", "/log"} <= set(topics)
+    steps = [record.value for record in records if record.topic == "/step"]
+    assert steps == [first, second]
+    assert [record.sequence for record in records if record.topic == "/step"] == [0, 1]
+    assert second.reward == pytest.approx(0.5)
+    assert ended.records >= len(records)
+
+
+def test_a_step_is_told_only_once_it_is_on_the_disk(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+    """While the journal still writes, the question stays open."""
+    desk.begin()
+    put, held = desk.controller._campaigns._runs["one"].journal.put, []
+    monkeypatch.setattr(desk.controller._campaigns._runs["one"].journal, "put", lambda r, d: held.append((r, d)))
+    question = desk.act()
+    desk.work("film")
+    desk.work("ray")
+    assert question.message is None
+    for records, done in held:
+        put(records, done)
+    assert isinstance(question.wait(), Step)
+
+
+def test_an_action_asked_twice_is_one(desk: Desk) -> None:
+    """The older question is let go; asked again later, the same step comes at once."""
+    desk.begin()
+    first = desk.act()
+    second = desk.act()
+    assert first.message == Nothing()
+    desk.work("film")
+    desk.work("ray")
+    step = second.wait()
+    assert desk.act().message == step
+    assert desk.work("ray") is None
+    other = desk.act(design=DESIGN.model_copy(update={"width_um": 40.0})).message
+    assert refusal(other).code == "refused"
+
+
+def test_a_question_is_let_go_when_its_hold_is_over(desk: Desk) -> None:
+    """The designer asks again and loses nothing."""
+    desk.begin()
+    question = desk.act()
+    desk.controller._campaigns.tick(time.monotonic() + HOLD_S + 1.0)
+    assert question.message == Nothing()
+    again = desk.act()
+    desk.work("film")
+    desk.work("ray")
+    assert isinstance(again.wait(), Step)
+
+
+def test_a_run_that_exists_is_not_opened_again(desk: Desk) -> None:
+    """Not while it is open, not by another designer, not after its end; the same begin twice is one."""
+    assert desk.begin() == desk.begin()
+    assert refusal(desk.begin(designer="other")).code == "refused"
+    assert refusal(desk.act(designer="other").message).message.count("in use by d") == 1
+    desk.end()
+    assert "exists" in refusal(desk.begin()).message
+    assert refusal(desk.act().message).code == "refused"
+
+
+def test_an_end_asked_twice_is_one(desk: Desk) -> None:
+    """The second answer is the first."""
+    desk.begin()
+    assert desk.end() == desk.end()
+    assert refusal(desk.end(designer="other")).code == "refused"
+
+
+def test_two_runs_at_once_have_their_own_journals(desk: Desk, tmp_path: Path) -> None:
+    """One computation serves both; each has it on record."""
+    desk.begin(plan("one"))
+    desk.begin(plan("two"))
+    one, two = desk.act(run="one"), desk.act(run="two")
+    desk.work("film")
+    desk.work("ray")
+    assert isinstance(one.wait(), Step)
+    assert isinstance(two.wait(), Step)
+    assert desk.work("ray") is None
+    desk.end("one")
+    desk.end("two")
+    assert {path.name for path in (tmp_path / "runs").iterdir()} == {"one", "two"}
+
+
+@pytest.mark.parametrize(
+    ("result", "arrays"),
+    [
+        ({"metrics": {"uniformity": {"value": 7.0, "standard_error": 0.01}}}, None),
+        ({"metrics": {"uniformity": {"value": -0.1, "standard_error": 0.01}}}, None),
+        ({"metrics": {"uniformity": {"value": 0.5}}}, None),
+        ({"metrics": {"uniformity": {"value": 0.5, "standard_error": 0.1}}, "ledger_defect": 0.1}, None),
+        (None, {"map_lx": np.array([[1.0, np.nan]])}),
+    ],
+)
+def test_an_answer_that_cannot_be_is_tried_again_elsewhere(desk: Desk, result: Any, arrays: Any) -> None:
+    """Uniformity out of range or missing, an open ledger, NaN in the map: the third time it is a failed step."""
+    desk.begin()
+    question = desk.act()
+    desk.work("film")
+    answer = result or desk.answer("ray")
+    for _ in range(3):
+        assert question.message is None
+        assert desk.work("ray", answer, arrays if arrays is not None else {}) is not None
+    step = question.wait()
+    assert isinstance(step, Step)
+    assert step.failure is not None
+    assert "does not hold" in step.failure.message
+    desk.uniformity = 0.8
+    assert desk.evaluated(1, move=Move(variable="width_um", steps=1)).failure is None
+
+
+def test_another_tasks_result_is_not_taken(desk: Desk) -> None:
+    """Fenced; the task goes on waiting for its own."""
+    desk.begin()
+    question = desk.act()
+    desk.work("film")
+    receipt = desk.work("ray", task_id="0" * 64, result=desk.answer("ray"))
+    assert isinstance(receipt, Receipt)
+    assert not receipt.accepted
+    assert question.message is None
+
+
+def test_a_full_disk_ends_the_run_and_keeps_what_was_told(
+    desk: Desk, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """The step that could not be written is told as a failure with folder and mend, and so is every later one."""
+    desk.begin()
+    told = desk.evaluated(0)
+
+    def full(*_: Any) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(desk.controller._campaigns._runs["one"].journal._segment, "commit", full)
+    question = desk.act(1, move=Move(variable="width_um", steps=1))
+    desk.work("ray")
+    failure = refusal(question.wait())
+    assert "No space left" in failure.message
+    assert str(tmp_path) in failure.message
+    assert refusal(desk.act(2, move=Move(variable="width_um", steps=1)).wait()).message == failure.message
+    assert refusal(desk.end()).message == failure.message
+    steps = [record.value for record in written(tmp_path) if record.topic == "/step"]
+    assert steps[0] == told
+
+
+def test_a_folder_that_cannot_be_written_is_refused_at_the_begin(tmp_path: Path) -> None:
+    """Before anything is computed, naming the folder."""
+    (tmp_path / "runs").write_text("a file")
+    desk = Desk(tmp_path / "runs")
+    failure = refusal(desk.begin())
+    assert str(tmp_path / "runs") in failure.message
+    assert failure.mend
+
+
+def test_a_designer_that_has_gone_ends_its_run(desk: Desk, tmp_path: Path) -> None:
+    """Nothing heard of it, no question open: the journal is finished with the reason, its tasks are withdrawn."""
+    desk.begin()
+    desk.act()
+    later_s = time.monotonic() + HOLD_S + 1.0
+    desk.controller._campaigns.tick(later_s)
+    assert desk.controller._campaigns.runs == ("one",)
+    desk.controller._campaigns.tick(later_s + campaigns.SILENT_S)
+    assert desk.controller._campaigns.runs == ()
+    assert desk.controller.core.tasks == {}
+    lines = [record.value for record in written(tmp_path) if record.topic == "/log"]
+    assert "nothing heard of its designer" in str(lines[-1])
+
+
+def test_a_controller_that_stops_finishes_its_journals(desk: Desk, tmp_path: Path) -> None:
+    """Root and count are in the file."""
+    desk.begin()
+    desk.evaluated(0)
+    desk.controller._campaigns.stop()
+    assert (tmp_path / "runs" / "one" / "audit.sha256").exists()
+
+
+def test_a_grid_keeps_the_maps_of_its_best(desk: Desk, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of those that were among the best so far; every step is on record all the same."""
+    monkeypatch.setattr(campaigns, "BEST_MAPS", 2)
+    desk.begin(plan(kind="grid", maps=False))
+    for number, uniformity in enumerate((0.5, 0.6, 0.4, 0.7, 0.3)):
+        desk.uniformity = uniformity
+        desk.evaluated(number, design=DESIGN.model_copy(update={"width_um": 30.0 + 2.0 * number}))
+    desk.end()
+    records = written(tmp_path)
+    assert [record.sequence for record in records if record.topic == "/map/sim"] == [0, 1, 3]
+    assert sum(record.topic == "/step" for record in records) == 5

@@ -1,0 +1,288 @@
+"""The environment-control agent alone: stories of actions, no bus, no clock, no worker."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from env_controller import actions as a
+from env_controller.environment import EnvironmentAgent
+from env_controller.rewards import reward_of
+from luxloop.campaign import Action, Fidelity, Move, Plan, Step
+from luxloop.design import Bounds, Design
+from luxloop.errors import InputError
+from luxloop.failure import Failure
+from luxloop.model import Environment
+
+DESIGN = Design.from_vector((150.0, 30.0, 500.0, 20.0, 5.5))
+
+
+def plan(run: str = "one", **changes: Any) -> Plan:
+    """A campaign on the bounds of Table 3."""
+    given: dict[str, Any] = {
+        "run": run, "environment": Environment(), "bounds": Bounds.preset("paper-table3"), "lanes": 4,
+        "walk": Fidelity(target_error_points=1.0), "final": Fidelity(target_error_points=0.3),
+    }  # fmt: skip
+    return Plan(**(given | changes))
+
+
+class Story:
+    """An agent, and workers that answer when told to."""
+
+    def __init__(self, *plans: Plan) -> None:
+        self.agent, self.now = EnvironmentAgent(), 0.0
+        self.numbers: dict[tuple[str, int], int] = {}
+        for one in plans or (plan(),):
+            self.agent.handle(a.Opened(0.0, one))
+
+    def act(self, lane: int = 0, run: str = "one", **what: Any) -> list[a.Command]:
+        number = self.numbers.get((run, lane), 0)
+        commands = self.agent.handle(
+            a.Acted(self.now, Action(run=run, designer="d", lane=lane, number=number, **what))
+        )
+        self.numbers[run, lane] = number + 1
+        return commands
+
+    def film(self, want: a.Want, sha256: str = "f" * 64) -> list[a.Command]:
+        return self.agent.handle(
+            a.Ended(self.now, want.task.id, {"table_sha256": sha256, "table_bytes": 9}, compute_s=0.25)
+        )
+
+    def ray(self, want: a.Want, uniformity: float = 0.8) -> list[a.Command]:
+        self.now += 1.0
+        figure = {"value": uniformity, "standard_error": 0.01}
+        metrics = {"uniformity": figure, "mean_illuminance_lx": {"value": 9e4, "standard_error": 10.0}}
+        return self.agent.handle(a.Ended(self.now, want.task.id, {"metrics": metrics}, compute_s=0.5))
+
+    def fail(self, want: a.Want, **failure: Any) -> list[a.Command]:
+        return self.agent.handle(a.Ended(self.now, want.task.id, None, Failure(**failure)))
+
+
+def wanted(commands: list[a.Command], kind: str) -> a.Want:
+    """The one task of a kind that is wanted now."""
+    (want,) = [c for c in commands if isinstance(c, a.Want) and c.task.kind == kind and not c.ahead]
+    return want
+
+
+def told(commands: list[a.Command]) -> list[Step]:
+    """The steps that are told."""
+    return [command.step for command in commands if isinstance(command, a.Tell)]
+
+
+def evaluated(story: Story, uniformity: float = 0.8, lane: int = 0, **what: Any) -> Step:
+    """The step of an action whose film may have to be computed first."""
+    commands = story.act(lane, **what)
+    if told(commands):
+        return told(commands)[0]
+    films = [c for c in commands if isinstance(c, a.Want) and c.task.kind == "film" and not c.ahead]
+    if films:
+        commands = story.film(films[0])
+    return told(story.ray(wanted(commands, "ray"), uniformity))[0]
+
+
+def test_an_action_becomes_a_film_then_rays_then_a_step() -> None:
+    """Film first, its hash in the ray task, both on record, then state and reward."""
+    story = Story()
+    first = story.act(design=DESIGN)
+    film = wanted(first, "film")
+    assert film.task.inputs["dbr_pairs"] == 5.5
+    second = story.film(film)
+    assert second[0] == a.Record("one", film.task.id)
+    ray = wanted(second, "ray")
+    assert ray.task.inputs["film"] == {"sha256": "f" * 64, "bytes": 9}
+    assert ray.group == "f" * 64
+    third = story.ray(ray, 0.81)
+    assert third[0] == a.Record("one", ray.task.id)
+    (step,) = told(third)
+    assert (step.design, step.uniformity, step.uniformity_error) == (DESIGN, 0.81, 0.01)
+    assert step.state == pytest.approx((0.25, -5 / 9, 0.0, -0.4, -0.6))
+    assert (step.physics_s, step.controller_s, step.cached) == (0.75, 1.0, False)
+    assert step.figures == {"mean_illuminance_lx": {"value": 9e4, "standard_error": 10.0}}
+    assert [line.split(" ", 1)[1] for line in story.agent.story("one", 0, 0)] == [
+        f"to be evaluated: {DESIGN}", "waits for the film of 5.5 pairs", "has its film", "waits for its rays",
+        "uniformity 0.8100, reward 0.0000",
+    ]  # fmt: skip
+
+
+def test_films_of_neighbouring_pair_counts_are_wanted_ahead_once() -> None:
+    """A half and a whole pair away, within the bounds; a step there needs no film of its own any more."""
+    story = Story()
+    commands = story.act(design=DESIGN.model_copy(update={"dbr_pairs": 4.5}))
+    ahead = [c for c in commands if isinstance(c, a.Want) and c.ahead]
+    assert [c.task.inputs["dbr_pairs"] for c in ahead] == [5.0, 5.5]
+    story.film(wanted(commands, "film"))
+    assert story.film(ahead[0], "e" * 64) == [a.Record("one", ahead[0].task.id)]
+    again = story.act(lane=1, design=DESIGN.model_copy(update={"dbr_pairs": 5.0}))
+    assert wanted(again, "ray").group == "e" * 64
+    assert [c.task.inputs["dbr_pairs"] for c in again if isinstance(c, a.Want) and c.ahead] == [6.0]
+
+
+def test_a_chip_without_dbr_needs_no_film() -> None:
+    """Rays at once."""
+    story = Story()
+    (want,) = story.act(design=DESIGN.model_copy(update={"dbr_pairs": 0.0}), final=True, seed="7")
+    assert isinstance(want, a.Want)
+    assert (want.task.kind, want.task.inputs["film"], want.task.inputs["seed"]) == ("ray", None, "7")
+    assert want.task.inputs["target_error_points"] == 0.3
+
+
+def test_what_cannot_be_built_is_told_at_once() -> None:
+    """Uniformity 0 with the reason, no task."""
+    roomy = Bounds.preset("paper-grid")
+    story = Story(plan(bounds=roomy, reward="r2"))
+    (command,) = story.act(design=Design.from_vector((10.0, 30.0, 500.0, 25.0, 5.5)))
+    (step,) = told([command])
+    assert (step.feasible, step.uniformity, step.task_id) == (False, 0.0, None)
+    assert "below 30" in step.reason
+    assert step.reward == pytest.approx(-421.875)
+
+
+def test_a_move_goes_from_where_the_lane_is() -> None:
+    """By the bounds' steps; the reward is what it gained."""
+    story = Story()
+    evaluated(story, 0.80, design=DESIGN)
+    step = evaluated(story, 0.83, move=Move(variable="width_um", steps=-2))
+    assert step.design == DESIGN.model_copy(update={"width_um": 26.0})
+    assert step.reward == pytest.approx(0.3)
+    pairs = evaluated(story, 0.81, move=Move(variable="dbr_pairs", steps=2))
+    assert pairs.design.dbr_pairs == 6.5
+    assert pairs.reward == pytest.approx(-0.2)
+
+
+def test_a_move_out_of_the_bounds_leads_nowhere() -> None:
+    """The lane stays, with its uniformity; no task; the next move starts there."""
+    story = Story()
+    evaluated(story, 0.80, design=DESIGN)
+    (step,) = told(story.act(move=Move(variable="distance_um", steps=4)))
+    assert (step.design, step.uniformity, step.reward, step.cached) == (DESIGN, 0.8, 0.0, True)
+    assert "distance_um" in step.reason
+    assert evaluated(story, 0.8, move=Move(variable="distance_um", steps=3)).design.distance_um == 180.0
+
+
+def test_a_design_evaluated_before_is_known() -> None:
+    """No task, the same numbers, cached; the reward is of this step."""
+    story = Story()
+    evaluated(story, 0.80, design=DESIGN)
+    evaluated(story, 0.83, move=Move(variable="width_um", steps=1))
+    (step,) = told(story.act(move=Move(variable="width_um", steps=-1)))
+    assert (step.design, step.uniformity, step.cached) == (DESIGN, 0.80, True)
+    assert step.reward == pytest.approx(-0.3)
+
+
+def test_two_lanes_on_one_design_wait_for_one_task() -> None:
+    """Each gets its step."""
+    story = Story()
+    film = wanted(story.act(0, design=DESIGN), "film")
+    story.act(1, design=DESIGN)
+    rays = [c for c in story.film(film) if isinstance(c, a.Want)]
+    assert len({want.task.id for want in rays}) == 1
+    assert [step.lane for step in told(story.ray(rays[0]))] == [0, 1]
+
+
+def test_two_runs_do_not_share_lanes_or_designers() -> None:
+    """The same task serves both, on both records."""
+    story = Story(plan("one"), plan("two"))
+    film = wanted(story.act(run="one", design=DESIGN), "film")
+    story.act(run="two", design=DESIGN)
+    commands = story.film(film)
+    assert {c.run for c in commands if isinstance(c, a.Record)} == {"one", "two"}
+    steps = told(story.ray(next(c for c in commands if isinstance(c, a.Want))))
+    assert {step.run for step in steps} == {"one", "two"}
+
+
+def test_finalists_have_their_own_seed_and_leave_the_lane_where_it_was() -> None:
+    """Evaluated anew, never from the walk's results."""
+    story = Story()
+    evaluated(story, 0.80, design=DESIGN)
+    other = DESIGN.model_copy(update={"width_um": 50.0})
+    step = evaluated(story, 0.9, design=other, final=True, seed="11")
+    assert (step.final, step.cached, step.reward) == (True, False, 0.0)
+    assert evaluated(story, 0.8, move=Move(variable="width_um", steps=1)).design.width_um == 32.0
+
+
+def test_a_failed_evaluation_is_a_step_with_its_failure() -> None:
+    """No reward, and the lane goes on from there; the next gain is not reckoned from it."""
+    story = Story()
+    film = wanted(story.act(design=DESIGN), "film")
+    ray = wanted(story.film(film), "ray")
+    (step,) = told(story.fail(ray, code="worker_lost", message="three attempts"))
+    assert step.failure is not None
+    assert (step.failure.code, step.reward) == ("worker_lost", 0.0)
+    assert evaluated(story, 0.7, move=Move(variable="width_um", steps=1)).reward == 0.0
+
+
+def test_a_film_that_has_gone_is_computed_again() -> None:
+    """The worker that held its table ended: afresh, twice at most, then it is a failure."""
+    story = Story()
+    film = wanted(story.act(design=DESIGN), "film")
+    ray = wanted(story.film(film), "ray")
+    for _ in range(2):
+        commands = story.fail(ray, code="not_found", message="nobody holds it", field="film")
+        again = wanted(commands, "film")
+        assert again.fresh
+        assert again.task.id == film.task.id
+        ray = wanted(story.film(again), "ray")
+    assert told(story.fail(ray, code="not_found", message="nobody holds it", field="film"))[0].failure is not None
+
+
+def test_a_closed_run_wants_nothing_more() -> None:
+    """Its tasks are given back, but for those another run waits for; late results are nobody's."""
+    story = Story(plan("one"), plan("two"))
+    film = wanted(story.act(run="one", design=DESIGN), "film")
+    ray = wanted(story.film(film), "ray")
+    other = wanted(story.act(run="two", design=DESIGN), "film")
+    commands = story.agent.handle(a.Closed(1.0, "one"))
+    assert a.Unwant(ray.task.id) in commands
+    assert a.Unwant(other.task.id) not in commands
+    assert story.ray(ray) == []
+
+
+@pytest.mark.parametrize(
+    ("what", "field"),
+    [
+        ({"run": "none", "design": DESIGN}, "run"),
+        ({"lane": 4, "design": DESIGN}, "lane"),
+        ({"number": 1, "design": DESIGN}, "number"),
+        ({"move": Move(variable="width_um", steps=1)}, "move"),
+        ({"design": DESIGN.model_copy(update={"width_um": 200.0})}, "design"),
+    ],
+)
+def test_actions_that_cannot_be_meant_are_refused(what: dict[str, Any], field: str) -> None:
+    """And leave the lane as it was."""
+    story = Story()
+    action = Action(**({"run": "one", "designer": "d", "lane": 0, "number": 0} | what))
+    with pytest.raises(InputError) as caught:
+        story.agent.handle(a.Acted(0.0, action))
+    assert caught.value.field == field
+    assert evaluated(story, design=DESIGN).number == 0
+
+
+def test_the_same_events_give_the_same_commands() -> None:
+    """Nothing hides in clocks or order."""
+
+    def live() -> list[list[a.Command]]:
+        story = Story()
+        found = [story.act(lane, design=DESIGN) for lane in range(3)]
+        film = wanted(found[0], "film")
+        found.append(story.film(film))
+        found.append(story.ray(next(c for c in found[-1] if isinstance(c, a.Want))))
+        return found
+
+    assert live() == live()
+
+
+@pytest.mark.parametrize(
+    ("name", "uniformity", "before", "reward"),
+    [
+        ("r1", 0.85, 0.80, 0.05),
+        ("r2", 0.8651, 0.1, 1.5248),
+        ("r3", 0.9032, 0.1, 1.4506),
+        ("gain", 0.85, 0.80, 0.5),
+        ("r1", 0.85, None, 0.0),
+        ("r3", 0.0, 0.5, -493.039),
+    ],
+)
+def test_rewards_are_those_of_the_paper(name: Any, uniformity: float, before: float | None, reward: float) -> None:
+    """Hand-computed from Eqs. 3 to 5, the best states of Table 6 among them."""
+    assert reward_of(name, uniformity, before) == pytest.approx(reward, abs=1e-4)

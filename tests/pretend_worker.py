@@ -1,0 +1,57 @@
+"""Workers of the kinds film and ray that compute nothing: answers of the right form at once, or after a nap.
+
+python pretend_worker.py film|ray [seconds]
+"""
+
+from __future__ import annotations
+
+import hashlib
+import sys
+import time
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from luxloop.bus.frame import Array
+from luxloop.bus.zenoh_bus import ZenohBus
+from luxloop.computation import Progress
+from luxloop.settings import load_settings
+from luxloop.words import sha256_of
+from luxloop.worker import Worker
+
+
+class Pretend:
+    """Uniformity is a smooth function of the design; a map of 64 x 64."""
+
+    def __init__(self, kind: str, nap_s: float) -> None:
+        self.kind, self._nap_s = kind, nap_s
+        self._map = np.outer(np.linspace(1.0, 2.0, 64), np.linspace(3.0, 4.0, 64))
+
+    def catalogue(self) -> dict[str, Any]:
+        """Nothing worth telling."""
+        return {}
+
+    def blob(self, sha256: str) -> bytes | None:  # noqa: ARG002  the protocol has it
+        """No store of its own."""
+        return None
+
+    def compute(self, inputs: dict[str, Any], progress: Progress) -> tuple[dict[str, Any], Mapping[str, Array]]:
+        """An answer of the right form."""
+        end_s = time.monotonic() + self._nap_s
+        while (left_s := end_s - time.monotonic()) > 0.0:
+            time.sleep(min(0.05, left_s))
+            progress.report(0.5, "napping")
+        if self.kind == "film":
+            return {"table_sha256": hashlib.sha256(repr(inputs).encode()).hexdigest(), "table_bytes": 9}, {}
+        design = inputs["design"]
+        noise = int(sha256_of(inputs)[:8], 16) / 0xFFFFFFFF - 0.5
+        value = 0.5 + 0.2 * design["distance_um"] / 180.0 - 0.1 * design["width_um"] / 100.0 + 0.01 * noise
+        metrics = {"uniformity": {"value": value, "standard_error": 0.01}}
+        return {"metrics": metrics, "ledger_defect": 0.0}, {"map_lx": self._map.astype(np.float32)}
+
+
+if __name__ == "__main__":
+    chosen = load_settings()
+    with ZenohBus(chosen, patient=True) as bus:
+        Worker(Pretend(sys.argv[1], float(sys.argv[2]) if len(sys.argv) > 2 else 0.0), bus, chosen).run()
