@@ -5,15 +5,14 @@ BIN := .venv/bin
 .PHONY: help run test test-fast lint bench clean
 
 help:
-	@echo "make run        set up, the paper's eleven DBR tables and its best design from real worker processes, with pictures"
+	@echo "make run        set up, a short design campaign on real worker processes, its best designs and its report"
 	@echo "make test       set up, run all tests"
 	@echo "make test-fast  the same without the slow ones"
 	@echo "make lint       ruff, mypy, import rules"
 	@echo "make bench      every benchmark, one table each (minutes)"
 
 run: .venv/.run
-	$(BIN)/luxloop film --pairs 4.5:9.5:0.5 --tables --plot film.png
-	$(BIN)/luxloop simulate --preset S_b3 --plot simulation.png
+	$(BIN)/luxloop run
 
 test: .venv/.dev
 	$(BIN)/python -m pytest -q

@@ -178,6 +178,8 @@ class Runner:
             return "interrupted"
         if seen.evaluations >= stop.evaluations:
             return f"budget: {seen.evaluations} evaluations"
+        if seen.steps >= stop.most_steps:
+            return f"steps: {seen.steps}, of {seen.evaluations} designs"
         if stop.time_s is not None and seen.wall_s >= stop.time_s:
             return f"time: {seen.wall_s:.0f} s"
         quiet = seen.episodes - seen.gained_episode

@@ -20,14 +20,25 @@ TWIN_HISTORIES = 131_072
 """Exits that the twin lands where nothing else is said."""
 
 
+STEPS_PER_EVALUATION = 10
+
+
 class Stop(Words):
     """When a campaign has had enough; the first that is met ends it, and stands in its journal."""
 
     evaluations: int = Field(200, ge=1, le=10**7, description="Different designs evaluated.")
+    steps: int | None = Field(
+        None, ge=1, le=10**8, description="Steps, known designs counted each time; none: 10 for each evaluation."
+    )
     time_s: float | None = Field(None, gt=0.0, le=1e7, description="Seconds since the first action; none: no limit.")
     episodes_without_gain: int | None = Field(
         None, ge=1, le=10**6, description="Episodes without a gain above twice its error; none: no limit."
     )
+
+    @property
+    def most_steps(self) -> int:
+        """Steps after which the walk ends: a learner that goes back and forth evaluates nothing new."""
+        return self.steps or STEPS_PER_EVALUATION * self.evaluations
 
 
 class Campaign(Words):
@@ -59,12 +70,17 @@ class Campaign(Words):
 
     @property
     def learner(self) -> Learning | None:
-        """The learner's settings, its budget that of the campaign where it has only a preset; None for a search."""
+        """The learner's settings, None for a search. A preset's schedule fits the campaign's budget.
+
+        The paper's agent explores for half of its run; the fast one needs no more than its preset says.
+        """
         if self.designer in SEARCHES:
             return None
         if self.learning is not None:
             return self.learning
-        return learning_of(self.designer).model_copy(update={"budget": self.stop.evaluations})
+        preset = learning_of(self.designer)
+        budget = self.stop.evaluations if preset.profile == "paper" else min(preset.budget, self.stop.evaluations)
+        return preset.model_copy(update={"budget": budget})
 
     def plan(self, run: str, model: Model, source: str, *, kind: Literal["campaign", "grid"] = "campaign") -> Plan:
         """What the controller is told of the run. `source` says where the model comes from, for people."""

@@ -95,7 +95,6 @@ def as_text(table: list[dict[str, Any]]) -> list[str]:
             f" {row['near']:>3} of {row['runs']:<2}{near:>6} {row['wall_s']:>6.0f}"
         )
     if table:
-        lines.append(
-            f"near: a design of the walk within 0.5 points of the best of all walks, {100.0 * table[0]['target']:.2f} %"
-        )
+        target = f"{100.0 * table[0]['target']:.2f} %"
+        lines.append(f"near: a design of the walk within 0.5 points of the best of all walks, {target}")
     return lines

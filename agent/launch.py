@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 import threading
@@ -92,7 +93,7 @@ def launch(
     )  # fmt: skip
     with (
         interruptible() as interrupted,
-        Client(settings, local=local, patience_s=PATIENCE_S) as client,
+        Client(settings, local=local, patience_s=PATIENCE_S, ray_workers=ray_workers(campaign.lanes)) as client,
         RunDoor.begin(client, plan, facts, attachments) as door,
         live(show, name, campaign.stop.evaluations, client) as look,
     ):
@@ -110,8 +111,18 @@ def launch(
 def running_set(settings: Settings, *, local: bool) -> Iterator[Settings]:
     """Settings of a set that runs: one that answers already, or one of our own for as long as this lasts."""
     usable_cache(settings)
-    with Client(settings, local=local, patience_s=PATIENCE_S) as client:
+    with Client(settings, local=local, patience_s=PATIENCE_S, ray_workers=ray_workers(cores())) as client:
         yield client.settings
+
+
+def ray_workers(lanes: int) -> int:
+    """Ray-tracing workers that a campaign starts where no set runs: one for each core, as far as its lanes go."""
+    return max(1, min(lanes, cores()))
+
+
+def cores() -> int:
+    """Those that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def refuse_taken_id(settings: Settings, name: str, local: bool) -> None:

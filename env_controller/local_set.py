@@ -31,15 +31,16 @@ class MemberError(LuxloopError):
 class Member:
     """One process of the set."""
 
-    def __init__(self, role: str, settings: Settings, quiet: bool) -> None:
+    def __init__(self, role: str, settings: Settings, quiet: bool, threads: int | None = None) -> None:
         self.role, self._settings = role, settings
+        self._threads = {} if threads is None else {"LUXLOOP_THREADS": str(threads)}
         self._argv = [sys.executable, "-m", "luxloop", "serve", role] + ["--quiet"] * quiet
         self._wait_s, self._again_s, self._began_s, self._first = RESTART_S, 0.0, 0.0, True
         self.process = self._start()
 
     def _start(self) -> subprocess.Popen[bytes]:
         self._began_s = time.monotonic()
-        environment = as_environment(self._settings) | {"LUXLOOP_WITH_PARENT": str(os.getpid())}
+        environment = as_environment(self._settings) | {"LUXLOOP_WITH_PARENT": str(os.getpid())} | self._threads
         return subprocess.Popen(self._argv, env=environment, stdin=subprocess.DEVNULL)
 
     def look_after(self, tell: Callable[[str], None]) -> None:
@@ -62,6 +63,17 @@ class Member:
             self.process = self._start()
 
 
+def threads_each(workers: int) -> int | None:
+    """Threads for each of several workers that compute at once: the cores are shared out; None where nothing is said.
+
+    Two ray workers of one thread do half as many designs again as one of two: not all of a design's work is rays.
+    """
+    if workers < 2 or "LUXLOOP_THREADS" in os.environ:
+        return None
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return max(1, cores // workers)
+
+
 def run_local(settings: Settings, workers: dict[str, int], stop: threading.Event, *, quiet: bool = False) -> None:
     """Keep a set alive until `stop` is set, or whoever started it has gone; then stop all of it.
 
@@ -76,7 +88,7 @@ def run_local(settings: Settings, workers: dict[str, int], stop: threading.Event
     usable_cache(settings)
     refuse_taken(settings.router)
     roles = ["router", "controller", *(role for role, count in workers.items() for _ in range(count))]
-    members = [Member(role, settings, quiet) for role in roles]
+    members = [Member(role, settings, quiet, threads_each(workers.get(role, 1))) for role in roles]
     try:
         tell(f"{', '.join(roles)} at {settings.router}")
         while not stop.wait(0.2) and not orphaned():

@@ -54,7 +54,10 @@ class Answer:
 class Client:
     """A session with the controller. Thread-safe; leave it by `with` so that what it started is stopped."""
 
-    def __init__(self, settings: Settings, *, local: bool = True, patience_s: float = 30.0) -> None:
+    def __init__(
+        self, settings: Settings, *, local: bool = True, patience_s: float = 30.0, ray_workers: int = 1
+    ) -> None:
+        """Finds the set at `settings.router`, or starts one with so many ray-tracing workers where `local` allows."""
         self.patience_s = patience_s
         self._asker = f"{os.getpid()}-{uuid4().hex[:8]}"
         self._closing = Interrupt()
@@ -63,7 +66,7 @@ class Client:
         if not listening(settings.router):
             if not (local and _is_loopback(settings.router)):
                 raise RemoteError(_nobody(settings))
-            settings, started = self._start_local(settings), True
+            settings, started = self._start_local(settings, ray_workers), True
         self.settings = settings
         try:
             self._bus = self._stack.enter_context(ZenohBus(settings))
@@ -176,11 +179,11 @@ class Client:
         self._closing.set()
         self._stack.close()
 
-    def _start_local(self, settings: Settings) -> Settings:
+    def _start_local(self, settings: Settings, ray_workers: int) -> Settings:
         """Start a private set on a free port; it ends with this process even if this is killed."""
         settings = settings.model_copy(update={"router": _free_endpoint()})
         process = subprocess.Popen(
-            [sys.executable, "-m", "luxloop", "serve", "local", "--quiet"],
+            [sys.executable, "-m", "luxloop", "serve", "local", "--quiet", "--ray-tracing", str(ray_workers)],
             env=as_environment(settings) | {"LUXLOOP_WITH_PARENT": str(os.getpid())},
             stdin=subprocess.DEVNULL,
             start_new_session=True,  # Ctrl-C is for us: we finish what we hold, then end the set

@@ -1,4 +1,4 @@
-"""Runs on disk for tests of the report: journals that a controller could have written, with numbers known beforehand."""
+"""Runs on disk for tests of the report: journals as a controller writes them, with numbers known beforehand."""
 
 from __future__ import annotations
 

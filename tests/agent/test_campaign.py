@@ -107,6 +107,7 @@ def test_the_best_are_evaluated_anew_and_they_alone_are_reported() -> None:
     [
         ({"evaluations": 7}, "budget: 7 evaluations"),
         ({"evaluations": 10_000, "time_s": 1e-6}, "time: 0 s"),
+        ({"evaluations": 10_000, "steps": 9}, "steps: 9, of "),
         ({"evaluations": 10_000, "episodes_without_gain": 3}, "saturation"),
     ],
 )

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
-
 import gymnasium
 import numpy as np
 import pytest
@@ -90,17 +88,13 @@ def test_a_vector_is_its_lanes() -> None:
         vector.close()
 
 
-@pytest.mark.slow
 def test_stable_baselines3s_dqn_runs_on_it() -> None:
     """600 steps of its DQN: it learns something (the weights move) and every observation lies in the space."""
-    with warnings.catch_warnings():
-        # its tensorboard import uses what newer packages call deprecated; nothing of ours
-        warnings.simplefilter("ignore")
-        from stable_baselines3 import DQN
+    from stable_baselines3 import DQN
 
-        model = DQN("MlpPolicy", environment(episode=20), learning_starts=100, seed=1, device="cpu")
-        before = [parameter.detach().clone() for parameter in model.q_net.parameters()]
-        model.learn(600)
+    model = DQN("MlpPolicy", environment(episode=20), learning_starts=100, seed=1, device="cpu")
+    before = [parameter.detach().clone() for parameter in model.q_net.parameters()]
+    model.learn(600)
     after = list(model.q_net.parameters())
     assert model.num_timesteps == 600
     assert any(not bool((a == b).all()) for a, b in zip(before, after, strict=True))
