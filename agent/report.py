@@ -17,12 +17,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from agent.moves import key_of
 from agent.recorded import Details, Document, Recorded, Told, details, distinct, has_episodes, recorded
 from agent.report_arrays import Arrays, episode_arrays, line_of, pareto_arrays, walk_arrays
 from agent.report_numbers import difference, estimate, grid_of
-from luxloop.campaign import REWARDS, Plan
+from luxloop.campaign import REWARDS, Plan, Step
 from luxloop.model import Model
 
 TOP = 10  # of the walk, in the table of designs
@@ -162,13 +163,21 @@ def shown_of(told: Told, found: Details, plan: Plan, name: str) -> tuple[Documen
     half_um = result["map"]["x_um"][1]
     x_um = np.linspace(-2.0 * half_um, 2.0 * half_um, CUT_POINTS)
     cut_lx = line_of(map_lx, half_um, x_um, result["cut"]["y_um"])
-    share = told.step.uniformity_error / (math.sqrt(2.0) * max(told.step.uniformity, 1e-9))
+    document["band"] = "recorded" if told.step.cut else "estimated"
     return document, {
         f"{name}_map_lx": map_lx,
         f"{name}_cut_x_um": x_um,
         f"{name}_cut_lx": cut_lx,
-        f"{name}_cut_error_lx": share * cut_lx,
+        f"{name}_cut_error_lx": _cut_error_lx(told.step, x_um, cut_lx),
     }
+
+
+def _cut_error_lx(step: Step, x_um: NDArray[np.float64], cut_lx: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Standard errors along the line; where a step has no cut on record, as if the extremes shared that of U."""
+    if step.cut is None:
+        return step.uniformity_error / (math.sqrt(2.0) * max(step.uniformity, 1e-9)) * cut_lx
+    known_um = np.array(step.cut.x_um)
+    return np.asarray(np.interp(x_um, known_um, step.cut.illuminance_error_lx, period=known_um[-1] - known_um[0]))
 
 
 def simulate_command(told: Told, plan: Plan, request: Mapping[str, Any] | None) -> str:

@@ -4,8 +4,8 @@
 
 Workers that compute nothing answer for PC2 and PC3, with maps of 64 x 64; everything else is real: router, controller
 and workers are processes, each step is on the disk before it is told. `fast` is the double DQN with its 4 updates a
-step, `random` has no learner. The last rows have workers that sleep 100 ms: efficiency is the share of their time
-that they slept for tasks, over the whole run.
+step, `random` has no learner. The last tables have workers that sleep 100 ms a task: efficiency is the share of the
+whole time that they slept for tasks, plain ones as any client asks for them, or steps of a campaign.
 """
 
 from __future__ import annotations
@@ -20,9 +20,12 @@ from agent.config import Campaign, Stop
 from agent.designers import designer
 from agent.moves import Space
 from benchmarks.processes import Processes, percentile, table
+from luxloop import __version__
 from luxloop.campaign import Step
+from luxloop.client import Answer
 from luxloop.door import RunDoor
 from luxloop.journal.reader import RunJournal
+from luxloop.messages import Task
 from luxloop.model_file import find_model
 
 PRETEND = str(Path(__file__).parents[1] / "tests" / "pretend_worker.py")
@@ -91,26 +94,38 @@ def overhead(steps: int) -> None:
 
 
 def efficiency(workers: int, nap_s: float, seconds: float) -> None:
-    """The second table: lanes as many as workers, then twice as many."""
+    """The second table: plain tasks, as any client asks for them, then steps of a campaign."""
     rows = []
     with Processes((PRETEND, "film"), *([(PRETEND, "ray", str(nap_s))] * workers)) as processes:
-        for lanes in (workers, min(64, 2 * workers)):
-            tasks = int(workers * seconds / nap_s)
-            campaign = Campaign(designer="random", lanes=lanes, stop=Stop(evaluations=tasks))
-            plan = campaign.plan(f"nap-{lanes}-{workers}", find_model("paper"), "paper")
-            chooser = designer("random", Space.of(plan), seed=lanes, lanes=lanes)
-            with RunDoor.begin(processes.client, plan) as door:
-                runner = Runner(door, chooser, campaign.stop, lanes=lanes, seed=1)
-                begin_s = time.perf_counter()
-                runner.run(1, without_dbr=False)
-                wall_s = time.perf_counter() - begin_s
-            count = runner.progress.steps
-            ideal_s = count * nap_s / workers
-            rows.append([workers, lanes, count, f"{count / wall_s:.0f}", f"{100.0 * ideal_s / wall_s:.1f} %"])
-            if lanes == 64:
-                break
-    table(f"ray workers that sleep {1e3 * nap_s:.0f} ms a task", rows,
-          ("workers", "lanes", "steps", "steps/s", "efficiency"))  # fmt: skip
+        tasks = int(workers * seconds / nap_s)
+        begin_s = time.perf_counter()
+        asked = processes.client.map((nap(number) for number in range(tasks)), lanes=2 * workers)
+        count = sum(isinstance(answer, Answer) for _, answer in asked)
+        rows.append(
+            ["tasks", workers, 2 * workers, *_efficiency(count, time.perf_counter() - begin_s, workers, nap_s)]
+        )
+        lanes = min(64, 2 * workers)
+        campaign = Campaign(designer="random", lanes=lanes, stop=Stop(evaluations=tasks))
+        plan = campaign.plan(f"nap-{lanes}-{workers}", find_model("paper"), "paper")
+        chooser = designer("random", Space.of(plan), seed=lanes, lanes=lanes)
+        with RunDoor.begin(processes.client, plan) as door:
+            runner = Runner(door, chooser, campaign.stop, lanes=lanes, seed=1)
+            begin_s = time.perf_counter()
+            runner.run(1, without_dbr=False)
+            wall_s = time.perf_counter() - begin_s
+        rows.append(["steps", workers, lanes, *_efficiency(runner.progress.steps, wall_s, workers, nap_s)])
+    heads = ("what", "workers", "at once", "count", "per s", "efficiency")
+    table(f"ray workers that sleep {1e3 * nap_s:.0f} ms a task", rows, heads)
+
+
+def nap(number: int) -> Task:
+    """A task for a pretending ray worker."""
+    design = {"distance_um": 100.0, "width_um": 10.0, "number": number}
+    return Task(kind="ray", inputs={"design": design}, version=__version__)
+
+
+def _efficiency(count: int, wall_s: float, workers: int, nap_s: float) -> list[object]:
+    return [count, f"{count / wall_s:.0f}", f"{100.0 * count * nap_s / workers / wall_s:.1f} %"]
 
 
 if __name__ == "__main__":

@@ -20,7 +20,7 @@ from env_controller.environment import EnvironmentAgent
 from luxloop.bus import Asked
 from luxloop.bus.frame import Array, decode, encode
 from luxloop.bus.keys import HOLD_S
-from luxloop.campaign import Action, Begin, Begun, End, Ended, Note, Step
+from luxloop.campaign import Action, Begin, Begun, Cut, End, Ended, Note, Step
 from luxloop.errors import LuxloopError, RemoteError
 from luxloop.failure import Failure
 from luxloop.journal.journal import Journal
@@ -195,14 +195,15 @@ class Campaigns:
                 case a.Tell():
                     name, run = command.step.run, self._runs[command.step.run]
                     of_run = records.setdefault(name, [])
+                    step = _with_cut(command.step, result)
                     if result is not None and self._map_wanted(run, command.step):
                         of_run.append(map_record(result.arrays["map_lx"], run.sequence, time.time_ns()))
-                    of_run.append(step_record(command.step, run.sequence, time.time_ns()))
+                    of_run.append(step_record(step, run.sequence, time.time_ns()))
                     agent = run.lanes[command.step.lane].action.agent
                     if agent is not None:
                         note = Note(run=name, designer=run.begin.designer, agent=agent)
                         of_run.extend(note_records(note, run.sequence, time.time_ns()))
-                    steps.setdefault(name, []).append(command.step)
+                    steps.setdefault(name, []).append(step)
                     run.sequence += 1
         for name, of_run in records.items():
             self._commit(self._runs[name], of_run, steps.get(name, []))
@@ -277,6 +278,15 @@ def _of_task(result: Result, sequence: int) -> list[Record]:
     now_ns = time.time_ns()
     request = request_record(result.task, sequence, now_ns)
     return [request, reply_record(result.task.kind, result.outcome, result.arrays, sequence, now_ns)]
+
+
+def _with_cut(step: Step, result: Result | None) -> Step:
+    """A finalist's step with the line of Eq. 8, where its rays have just ended."""
+    names = ("cut_x_um", "cut_lx", "cut_error_lx")
+    if not step.final or result is None or not all(name in result.arrays for name in names):
+        return step
+    x_um, lx, error_lx = (tuple(map(float, result.arrays[name])) for name in names)
+    return step.model_copy(update={"cut": Cut(x_um=x_um, illuminance_lx=lx, illuminance_error_lx=error_lx)})
 
 
 def _failure(error: LuxloopError) -> Failure:

@@ -169,6 +169,14 @@ class Action(Words):
         return self
 
 
+class Cut(Words):
+    """The line of Eq. 8 of a finalist, from edge to edge of the module or the cell."""
+
+    x_um: tuple[float, ...] = Field(max_length=10_000)
+    illuminance_lx: tuple[float, ...] = Field(max_length=10_000)
+    illuminance_error_lx: tuple[float, ...] = Field(max_length=10_000, description="Standard errors.")
+
+
 class Step(Words):
     """State and reward, in the one format for every designer: where the lane is now, how good that is."""
 
@@ -186,6 +194,7 @@ class Step(Words):
     reason: Text = Field("", description="Why it is infeasible, or why the move led nowhere.")
     figures: Plain = Field(default_factory=dict, description="Other metrics: {value, standard_error} by name.")
     final: bool = False
+    cut: Cut | None = Field(None, description="Of a finalist.")
     cached: bool = Field(False, description="Known before: no worker had to compute it.")
     task_id: Sha256 | None = Field(None, description="Of the ray task.")
     film_task_id: Sha256 | None = None

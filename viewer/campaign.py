@@ -164,7 +164,7 @@ def _best(document: Document, arrays: Arrays) -> Iterator[str]:
         f"{in_words(best['design'])}, {percent(best['uniformity'])}, {lux(best['mean_illuminance_lx'])}, as Figs."
         " 6d-f. Left: one cell of the endless array, colours from its smallest to its largest value. Right: the line"
         f" through the chips over two pitches; Eq. 8 takes its middle half, {window[0]:g} to {window[1]:g} µm."
-        f" {_bias(shown)} {_band()} {_record(shown)}"
+        f" {_bias(shown)} {_band(shown)} {_record(shown)}"
     )
     yield html.figure(
         figures.best_design(document, arrays), "map and cut of the best design", caption, shown["command"]
@@ -192,7 +192,9 @@ def _dbr(document: Document, arrays: Arrays) -> Iterator[str]:
         )
         shown = document["shown"]
         records = f"{_record(shown['bare'])} {_record(shown['with'])}"
-        caption = f"{in_words(dbr['with']['design'])}, as Fig. 8: {values}. {_band()} {records}"
+        caption = (
+            f"{in_words(dbr['with']['design'])}, as Fig. 8: {values}. {_band(document['shown']['with'])} {records}"
+        )
         command = f"{shown['bare']['command']} ; {shown['with']['command']}"
         yield html.figure(figures.dbr_compared(document, arrays), "with and without DBR", caption, command)
 
@@ -240,7 +242,9 @@ def _geometry(document: Document, arrays: Arrays) -> Iterator[str]:
     yield tables.geometry(document)
 
 
-def _band() -> str:
+def _band(shown: Document) -> str:
+    if shown.get("band") == "recorded":
+        return "The line is the map's own, exact to its rounding. Band: the standard error of each point."
     return (
         "The line is the map's own, exact to its rounding. Band: the standard error of a point, estimated from that"
         " of the uniformity as if smallest and largest value shared it equally (U error / (√2 U))."

@@ -332,6 +332,21 @@ def test_a_controller_that_stops_finishes_its_journals(desk: Desk, tmp_path: Pat
     assert (tmp_path / "runs" / "one" / "audit.sha256").exists()
 
 
+def test_a_finalist_has_its_line_on_record(desk: Desk, tmp_path: Path) -> None:
+    """With the errors of its points; a step of the walk has none."""
+    desk.begin()
+    arrays = {"map_lx": np.ones((4, 4)), "cut_x_um": np.arange(3.0), "cut_lx": np.ones(3), "cut_error_lx": np.ones(3)}
+    question = desk.act(0, design=DESIGN, final=True, seed="7")
+    desk.work("film")
+    desk.work("ray", arrays=arrays)
+    step = question.wait()
+    assert isinstance(step, Step)
+    assert step.cut is not None
+    assert step.cut.x_um == (0.0, 1.0, 2.0)
+    assert [record.value for record in written(tmp_path) if record.topic == "/step"] == [step]
+    assert desk.evaluated(1, design=DESIGN).cut is None
+
+
 def test_a_grid_keeps_the_maps_of_its_best(desk: Desk, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of those that were among the best so far; every step is on record all the same."""
     monkeypatch.setattr(campaigns, "BEST_MAPS", 2)
