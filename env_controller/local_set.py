@@ -66,7 +66,7 @@ class Member:
 def threads_each(workers: int) -> int | None:
     """Threads for each of several workers that compute at once: the cores are shared out; None where nothing is said.
 
-    Two ray workers of one thread do half as many designs again as one of two: not all of a design's work is rays.
+    Two ray workers of one thread do more designs than one of two: not all of a design's work is rays.
     """
     if workers < 2 or "LUXLOOP_THREADS" in os.environ:
         return None
