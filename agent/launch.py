@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import signal
 import sys
 import threading
@@ -25,6 +24,7 @@ from luxloop.client import Client
 from luxloop.door import RunDoor
 from luxloop.errors import InputError, LuxloopError
 from luxloop.model_file import find_model, to_toml
+from luxloop.process import usable_cores
 from luxloop.settings import Settings, usable_cache
 from luxloop.words import canonical, sha256_of
 
@@ -111,18 +111,13 @@ def launch(
 def running_set(settings: Settings, *, local: bool) -> Iterator[Settings]:
     """Settings of a set that runs: one that answers already, or one of our own for as long as this lasts."""
     usable_cache(settings)
-    with Client(settings, local=local, patience_s=PATIENCE_S, ray_workers=ray_workers(cores())) as client:
+    with Client(settings, local=local, patience_s=PATIENCE_S, ray_workers=ray_workers(usable_cores())) as client:
         yield client.settings
 
 
 def ray_workers(lanes: int) -> int:
     """Ray-tracing workers that a campaign starts where no set runs: one for each core, as far as its lanes go."""
-    return max(1, min(lanes, cores()))
-
-
-def cores() -> int:
-    """Those that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return max(1, min(lanes, usable_cores()))
 
 
 def refuse_taken_id(settings: Settings, name: str, local: bool) -> None:

@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 from luxloop.endpoint import refuse_taken
 from luxloop.errors import LuxloopError
-from luxloop.process import orphaned
+from luxloop.process import orphaned, usable_cores
 from luxloop.settings import Settings, as_environment, usable_cache
 
 RESTART_S = 0.5  # a process that ended is started again after this, doubled each time it ends within a minute
@@ -70,8 +70,7 @@ def threads_each(workers: int) -> int | None:
     """
     if workers < 2 or "LUXLOOP_THREADS" in os.environ:
         return None
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return max(1, cores // workers)
+    return max(1, usable_cores() // workers)
 
 
 def run_local(settings: Settings, workers: dict[str, int], stop: threading.Event, *, quiet: bool = False) -> None:

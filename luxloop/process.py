@@ -5,6 +5,11 @@ from __future__ import annotations
 import os
 
 
+def usable_cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 def resident_mb() -> float:
     """Resident memory of this process in MB; 0 where the system does not say."""
     try:

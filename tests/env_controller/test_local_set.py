@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from env_controller import local_set
-from env_controller.local_set import Member, MemberError, run_local
+from env_controller.local_set import Member, MemberError, run_local, threads_each
 from luxloop.errors import InputError
 from luxloop.settings import Settings, as_environment
 from tests.conftest import processes_at, stop
@@ -92,3 +92,12 @@ def test_an_unusable_cache_ends_the_set_before_it_starts(settings: Settings, tmp
     with pytest.raises(InputError, match="LUXLOOP_CACHE"):
         run_local(bad, {"thin-film": 1}, threading.Event())
     assert processes_at(settings.router) == []
+
+
+def test_several_ray_workers_share_the_cores(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One of them has all, unless the user said how many threads; two have half each, many have one."""
+    monkeypatch.setattr("env_controller.local_set.usable_cores", lambda: 4)
+    monkeypatch.delenv("LUXLOOP_THREADS", raising=False)
+    assert [threads_each(workers) for workers in (1, 2, 3, 4, 9)] == [None, 2, 1, 1, 1]
+    monkeypatch.setenv("LUXLOOP_THREADS", "3")
+    assert threads_each(2) is None
