@@ -14,11 +14,11 @@ from typing import Any, Protocol
 
 from agent.ask_tell import Designer, Proposal
 from agent.config import Stop
-from luxloop.campaign import Action, Step
+from luxloop.campaign import Action, Role, Step
 from luxloop.design import Design
 from luxloop.words import sha256_of
 
-SIGMAS = 2.0  # a gain above so many of its standard errors is one
+SIGMAS = 2.0  # a gain above so many of its standard errors counts; that designs share their seed is left out
 
 
 class Door(Protocol):
@@ -44,6 +44,7 @@ class Progress:
     began_s: float = field(default_factory=time.monotonic)
     first: Step | None = None
     best: Step | None = None
+    gained: Step | None = None  # the best at the last gain that counted
     last: Step | None = None
     epsilon: float | None = None
     gained_episode: int = 0
@@ -62,17 +63,15 @@ class Found:
     reason: str
     progress: Progress
     finalists: tuple[Step, ...]
+    """The best first."""
     start: Step | None
+    best: Step | None
+    """The best finalist, evaluated once more: the best of five noisy numbers is flattered, this one is not."""
     without_dbr: Step | None
-
-    @property
-    def best(self) -> Step | None:
-        """The best finalist."""
-        return max(self.finalists, key=lambda step: step.uniformity, default=None)
 
     def summary(self) -> dict[str, Any]:
         """The result as plain values, for the journal and for `--json`."""
-        best, seen = self.best, self.progress
+        seen = self.progress
         return {
             "reason": self.reason,
             "steps": seen.steps,
@@ -82,7 +81,7 @@ class Found:
             "physics_s": seen.physics_s,
             "learner_s": seen.learner_s,
             "start": _plain(self.start),
-            "best": _plain(best),
+            "best": _plain(self.best),
             "without_dbr": _plain(self.without_dbr),
             "finalists": [_plain(step) for step in self.finalists],
         }
@@ -112,7 +111,7 @@ class Runner:
         with ThreadPoolExecutor(self._lanes, thread_name_prefix="lane") as pool:
             reason = self._walk(pool)
             if self._stop_wanted():
-                return Found(reason, self.progress, (), None, None)
+                return Found(reason, self.progress, (), None, None, None)
             return self._finals(pool, reason, finalists, without_dbr)
 
     def _walk(self, pool: ThreadPoolExecutor) -> str:
@@ -129,7 +128,7 @@ class Runner:
                 self._learn()
                 self._take(lane, proposal, future.result())
                 reason = reason or self._reason()
-            if not reason:
+            if not reason and self.progress.evaluations + len(under_way) < self._stop.evaluations:
                 proposed = self._ask(lane)
                 if proposed is not None:
                     under_way[lane] = proposed, pool.submit(self._door.act, self._action(lane, proposed))
@@ -165,10 +164,10 @@ class Runner:
         seen.episodes = max(seen.episodes, proposal.record.episode + 1)
         if step.failure is None and step.feasible:
             seen.first = seen.first or step
-            if seen.best is None or _gain(step, seen.best) > 0.0:
-                if seen.best is None or _gain(step, seen.best) > SIGMAS * _error(step, seen.best):
-                    seen.gained_episode = seen.episodes
+            if seen.best is None or step.uniformity > seen.best.uniformity:
                 seen.best = step
+            if seen.gained is None or _gain(step, seen.gained) > SIGMAS * _error(step, seen.gained):
+                seen.gained, seen.gained_episode = step, seen.episodes
         self._look(seen)
 
     def _reason(self) -> str:
@@ -188,32 +187,37 @@ class Runner:
         return ""
 
     def _finals(self, pool: ThreadPoolExecutor, reason: str, count: int, without_dbr: bool) -> Found:
-        """The best of the walk, where it began, and the winner without its DBR: fresh seeds, the final fidelity."""
+        """The best of the walk and where it began, then the winner once more and without its mirror.
+
+        All with seeds of their own at the final fidelity.
+        """
         self.progress.stage = "finalists"
         self._look(self.progress)
         known = self._designer.known
         best = [key for key in known.best_first() if known.uniformity[key] > 0.0][:count]
         start = self.progress.first
-        designs = [Design.from_vector(key) for key in best] + ([start.design] if start else [])
-        steps = self._evaluated(pool, designs, "finalist")
-        began = steps.pop() if start else None
-        finalists = tuple(sorted(steps, key=lambda step: -step.uniformity))
-        bare = None
-        if without_dbr and finalists and finalists[0].design.dbr_pairs > 0.0:
-            plain = finalists[0].design.model_copy(update={"dbr_pairs": 0.0})
-            (bare,) = self._evaluated(pool, [plain], "without")
-        return Found(reason, self.progress, finalists, began, bare)
+        wanted: list[tuple[Role, Design]] = [("finalist", Design.from_vector(key)) for key in best]
+        first = self._evaluated(pool, [*wanted, ("start", start.design)] if start else wanted)
+        began = first.pop() if start else None
+        finalists = tuple(sorted(first, key=lambda step: -step.uniformity))
+        if not finalists:
+            return Found(reason, self.progress, (), began, None, None)
+        winner = finalists[0].design
+        last: list[tuple[Role, Design]] = [("best", winner)]
+        if without_dbr and winner.dbr_pairs > 0.0:
+            last.append(("without_dbr", winner.model_copy(update={"dbr_pairs": 0.0})))
+        again, *bare = self._evaluated(pool, last)
+        return Found(reason, self.progress, finalists, began, again, bare[0] if bare else None)
 
-    def _evaluated(self, pool: ThreadPoolExecutor, designs: Sequence[Design], what: str) -> list[Step]:
+    def _evaluated(self, pool: ThreadPoolExecutor, wanted: Sequence[tuple[Role, Design]]) -> list[Step]:
         """The steps of some designs at the final fidelity, each with a seed of its own; several lanes at once."""
         steps: list[Step] = []
-        for begin in range(0, len(designs), self._lanes):
+        for begin in range(0, len(wanted), self._lanes):
             futures = []
-            for lane, design in enumerate(designs[begin : begin + self._lanes]):
-                seed = fresh_seed(self._seed, what, begin + lane)
-                futures.append(
-                    pool.submit(self._door.act, self._numbered(lane, design=design, final=True, seed=seed))
-                )
+            for lane, (role, design) in enumerate(wanted[begin : begin + self._lanes]):
+                seed = fresh_seed(self._seed, role, begin + lane)
+                action = self._numbered(lane, design=design, final=True, seed=seed, role=role)
+                futures.append(pool.submit(self._door.act, action))
             for future in futures:
                 step = future.result()
                 self.progress.physics_s += step.physics_s

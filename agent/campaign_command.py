@@ -232,7 +232,7 @@ def as_text(document: dict[str, Any]) -> list[str]:
     best, start, bare = (document[name] for name in ("best", "start", "without_dbr"))
     if best:
         lines.append(f"best         {in_words(best)}")
-        lines += [f"             {in_words(one)}" for one in document["finalists"][1:]]
+        lines += [f"finalist {i}   {in_words(one)}" for i, one in enumerate(document["finalists"], 1)]
     if start:
         lines.append(f"start        {in_words(start)}")
     if bare:

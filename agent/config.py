@@ -21,6 +21,8 @@ TWIN_HISTORIES = 131_072
 
 
 STEPS_PER_EVALUATION = 10
+BUDGET_S = 600.0
+"""Of one evaluation; far above what a design takes, so that no slow machine changes a walk."""
 
 
 class Stop(Words):
@@ -99,8 +101,8 @@ class Campaign(Words):
             "effects": model.effects,
             "bounds": self.bounds,
             "reward": self.reward or (learner.reward if learner else "gain"),
-            "walk": Fidelity(method=self.method, seed=seed, **how),
-            "final": Fidelity(target_error_points=self.final_error_points, budget_s=600.0),
+            "walk": Fidelity(method=self.method, seed=seed, budget_s=BUDGET_S, **how),
+            "final": Fidelity(target_error_points=self.final_error_points, budget_s=BUDGET_S),
             "lanes": self.lanes,
             "maps": kind == "campaign",
         }

@@ -18,9 +18,8 @@ def overview(folder: Path) -> dict[str, Any]:
     finals = [step for step in sound if step.final]
     walk = [step for step in sound if not step.final]
     best = max(walk, key=lambda step: step.uniformity, default=None)
-    if finals and best is not None:  # the start and the bare design are final, too, and no candidates for the best
-        candidates = [step for step in finals if step.design.dbr_pairs > 0.0 or best.design.dbr_pairs == 0.0]
-        best = max(candidates, key=lambda step: step.uniformity, default=best)
+    best = max((step for step in finals if step.role == "finalist"), key=lambda step: step.uniformity, default=best)
+    best = next((step for step in finals if step.role == "best"), best)
     return {
         "run": facts.get("run", folder.name),
         "kind": facts.get("kind", ""),

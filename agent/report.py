@@ -14,7 +14,7 @@ from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from hashlib import sha256
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,7 @@ from agent.moves import key_of
 from agent.recorded import Details, Document, Recorded, Told, details, distinct, has_episodes, recorded
 from agent.report_arrays import Arrays, episode_arrays, line_of, pareto_arrays, walk_arrays
 from agent.report_numbers import difference, estimate, grid_of
-from luxloop.campaign import REWARDS, Plan, Step
+from luxloop.campaign import REWARDS, Plan, Role, Step
 from luxloop.model import Model
 
 TOP = 10  # of the walk, in the table of designs
@@ -33,12 +33,17 @@ SETTINGS = "campaign.json"
 
 
 class Roles(NamedTuple):
-    """What the final evaluations were for: the finalists, the best first; the start; the winner without its DBR."""
+    """What the final evaluations were for: the finalists, the best first; that one again; the start; without DBR."""
 
     finalists: list[Told]
+    best: Told | None
     start: Told | None
     without_dbr: Told | None
-    with_dbr: Told | None  # what it is compared with
+
+    @property
+    def with_dbr(self) -> Told | None:
+        """What the design without its DBR is compared with."""
+        return self.best if self.without_dbr else None
 
 
 def document_of(folder: Path) -> tuple[Document, Arrays]:
@@ -61,9 +66,9 @@ def document_of(folder: Path) -> tuple[Document, Arrays]:
     """
     run = recorded(folder)
     walk = sorted(run.walk, key=lambda told: (told.step.number, told.step.lane))
-    roles = roles_of(run.finals, walk)
+    roles = roles_of(run.finals)
     designs = distinct(walk)
-    best = roles.finalists[0] if roles.finalists else max(designs, key=_uniformity, default=None)
+    best = roles.best or max(designs, key=_uniformity, default=None)
     shown = {"best": best, "with": roles.with_dbr, "bare": roles.without_dbr}
     found = details(folder, [told for told in (*shown.values(), *run.finals) if told])
     in_walk = {key_of(told.step.design): told for told in designs}
@@ -78,7 +83,8 @@ def document_of(folder: Path) -> tuple[Document, Arrays]:
         "counts": _counts(run.told, walk, designs),
         "times": _times(run, walk),
         "best": row(best),
-        "best_is_final": bool(roles.finalists),
+        "best_is_final": roles.best is not None,
+        "best_is_confirmed": bool(roles.best and roles.best.step.role == "best"),
         "best_at": best_at(walk),
         "start": row(roles.start or next(iter(designs), None)),
         "finalists": [row(told) for told in roles.finalists],
@@ -97,17 +103,13 @@ def document_of(folder: Path) -> tuple[Document, Arrays]:
     return document, arrays
 
 
-def roles_of(finals: Sequence[Told], walk: Sequence[Told]) -> Roles:
-    """What each final evaluation was for, by its design: the runner evaluates the start after the finalists."""
-    first = next((key_of(told.step.design) for told in walk if told.evaluated), None)
-    start = next((told for told in reversed(finals) if key_of(told.step.design) == first), None)
-    candidates = [told for told in finals if told is not start]
-    bases = {key_of(told.step.design)[:4]: told for told in sorted(candidates, key=_uniformity) if _pairs(told)}
-    bare = [told for told in candidates if not _pairs(told) and key_of(told.step.design)[:4] in bases]
-    finalists = sorted((told for told in candidates if told not in bare), key=_uniformity, reverse=True)
-    bare.sort(key=lambda told: finalists.index(bases[key_of(told.step.design)[:4]]))
-    base = bases[key_of(bare[0].step.design)[:4]] if bare else None
-    return Roles(finalists, start, bare[0] if bare else None, base)
+def roles_of(finals: Sequence[Told]) -> Roles:
+    """What each final evaluation was for, as the runner said."""
+    of_role = {role: [told for told in finals if told.step.role == role] for role in get_args(Role)}
+    sound = {role: [told for told in own if told.step.failure is None] for role, own in of_role.items()}
+    finalists = sorted(sound["finalist"], key=_uniformity, reverse=True)
+    best, start, bare = (next(iter(sound[role]), None) for role in ("best", "start", "without_dbr"))
+    return Roles(finalists, best or next(iter(finalists), None), start, bare)
 
 
 def row_of(told: Told, found: Details, in_walk: Told | None = None) -> Document:

@@ -40,7 +40,8 @@ def episode_arrays(walk: Sequence[Told]) -> Arrays:
 
     Notes
     -----
-    `episode_mean_error` is that of the mean by the noise of its evaluations, sqrt(sum of squares) / n.
+    `episode_mean_error` is the mean error of its evaluations: a walk's designs share their random numbers, so the
+    noise of neighbours is nearly the same and does not average out.
     """
     by_episode: dict[int, list[Told]] = {}
     for told in walk if has_episodes(walk) else ():
@@ -50,9 +51,7 @@ def episode_arrays(walk: Sequence[Told]) -> Arrays:
     for number, of_it in sorted(by_episode.items()):
         value = np.array([told.step.uniformity for told in of_it])
         error = np.array([told.step.uniformity_error for told in of_it])
-        rows.append(
-            (number, value.mean(), np.sqrt((error**2).sum()) / len(of_it), value.max(), error[value.argmax()])
-        )
+        rows.append((number, value.mean(), error.mean(), value.max(), error[value.argmax()]))
     names = ("episode_number", "episode_mean", "episode_mean_error", "episode_best", "episode_best_error")
     return dict(zip(names, np.array(rows, dtype=np.float64).reshape(-1, len(names)).T, strict=True))
 

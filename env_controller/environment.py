@@ -131,7 +131,12 @@ class EnvironmentAgent:
         trial = Trial(action.run, action, design, event.at_s)
         reason = f"the move leads out of the bounds of {action.move.variable}" if action.move else ""
         self._tell(trial, event.at_s, reason)
-        return [self._told(run, trial, event.at_s, uniformity=lane.uniformity or 0.0, reason=reason, cached=True)]
+        if lane.uniformity is None:
+            mend = "begin anew with a design"
+            unknown = Failure(code="refused", message="the lane's design could not be evaluated before", mend=mend)
+            return [self._told(run, trial, event.at_s, uniformity=0.0, failure=unknown)]
+        known = {"uniformity_error": lane.uniformity_error, "figures": lane.figures, "cached": True}
+        return [self._told(run, trial, event.at_s, uniformity=lane.uniformity, reason=reason, **known)]
 
     def _film_first(self, run: Run, trial: Trial, at_s: float) -> list[a.Command]:
         pairs = trial.design.dbr_pairs
@@ -238,6 +243,7 @@ class EnvironmentAgent:
             worth = 0.0 if failed or action.final else reward_of(run.plan.reward, uniformity, None)
         if not action.final:
             lane.design, lane.uniformity = trial.design, None if failed else uniformity
+            lane.uniformity_error, lane.figures = found.get("uniformity_error", 0.0), found.get("figures", {})
         self._tell(trial, at_s, f"uniformity {uniformity:.4f}, reward {worth:.4f}")
         x = np.clip(run.plan.bounds.normalise(trial.design), -1.0, 1.0)
         step = Step(
@@ -248,6 +254,7 @@ class EnvironmentAgent:
             state=tuple(map(float, x)),
             reward=worth,
             final=action.final,
+            role=action.role,
             task_id=trial.ray_task.id if trial.ray_task else None,
             film_task_id=trial.film_task.id if trial.film_task else None,
             physics_s=trial.physics_s,

@@ -19,6 +19,8 @@ class Lane:
 
     design: Design | None = None
     uniformity: float | None = None
+    uniformity_error: float = 0.0
+    figures: dict[str, Any] = field(default_factory=dict)
     number: int = -1
     busy: bool = False
 

@@ -33,6 +33,9 @@ REWARDS: dict[str, str] = {
     "gain": "(U - U_before) / 10",
 }
 """What a reward is, by name; U in percent."""
+Role = Literal["finalist", "best", "start", "without_dbr"]
+"""What a final evaluation is for: one of the walk's best; the best of these once more; where the walk began; the
+best without its mirror."""
 MAX_ATTACHMENT = 1 << 20
 LIMIT_S = 86_400.0
 """Longest computation of one evaluation; its fidelity's budget is what bounds it."""
@@ -158,14 +161,18 @@ class Action(Words):
     move: Move | None = None
     final: bool = Field(False, description="With the plan's final fidelity, and `seed` for its own.")
     seed: Seed | None = None
+    role: Role | None = Field(None, description="What a final evaluation is for.")
     agent: AgentRecord | None = Field(None, description="What the designer was like; goes on record with the step.")
 
     @model_validator(mode="after")
     def _one_of_them(self) -> Action:
         if (self.design is None) == (self.move is None):
             raise InputError("design", self.design, "a design, or else a move", "give one of the two")
-        if (self.seed is not None) != self.final:
-            raise InputError("seed", self.seed, "a seed with final, and only there")
+        for name in ("seed", "role"):
+            if getattr(self, name) is not None and not self.final:
+                raise InputError(name, getattr(self, name), "nothing but with final")
+        if self.final and self.seed is None:
+            raise InputError("seed", None, "a seed of its own with final")
         return self
 
 
@@ -194,6 +201,7 @@ class Step(Words):
     reason: Text = Field("", description="Why it is infeasible, or why the move led nowhere.")
     figures: Plain = Field(default_factory=dict, description="Other metrics: {value, standard_error} by name.")
     final: bool = False
+    role: Role | None = Field(None, description="What a final evaluation is for.")
     cut: Cut | None = Field(None, description="Of a finalist.")
     cached: bool = Field(False, description="Known before: no worker had to compute it.")
     task_id: Sha256 | None = Field(None, description="Of the ray task.")
@@ -231,5 +239,5 @@ class Ended(Words):
 
 
 def figures_of(metrics: dict[str, Any]) -> dict[str, Any]:
-    """The metrics of a ray result that a step carries."""
-    return {name: metrics[name] for name in Step.FIGURES if name in metrics and name != "uniformity"}
+    """The metrics of a ray result that a step carries; of the uniformity its bias and truncation, too."""
+    return {name: metrics[name] for name in Step.FIGURES if name in metrics}

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from luxloop.campaign import AgentRecord, Begin, Fidelity, Note, Plan, Step
+from luxloop.campaign import AgentRecord, Begin, Fidelity, Note, Plan, Role, Step
 from luxloop.design import Bounds, Design
 from luxloop.failure import Failure
 from luxloop.journal.journal import Journal
@@ -84,7 +84,7 @@ class RunOnDisk:
 
     def evaluated(
         self, design: Design, uniformity: float, *, error: float = 0.01, lane: int = 0, seed: str | None = None,
-        episode: int | None = None, method: str = "monte_carlo",
+        episode: int | None = None, method: str = "monte_carlo", role: Role = "finalist",
     ) -> Step:  # fmt: skip
         """A step that a worker computed; `seed` makes it a final one."""
         final = seed is not None
@@ -97,7 +97,7 @@ class RunOnDisk:
         figures = {name: metrics[name] for name in metrics if name != "uniformity"}
         step = self._step(
             design, lane, uniformity=uniformity, uniformity_error=error, figures=figures, final=final,
-            task_id=task.id, physics_s=0.5, controller_s=0.6,
+            role=role if final else None, task_id=task.id, physics_s=0.5, controller_s=0.6,
         )  # fmt: skip
         at = self.sequence, self._now_ns()
         outcome = Outcome(task_id=task.id, result=result_of(design, metrics, method), worker="ray-1", compute_s=0.5)
@@ -213,8 +213,10 @@ def whole_run(folder: Path) -> dict[str, Step]:
     run.failed(wide, lane=1)
     steps["second"] = run.evaluated(steps["last"].design, 0.905, error=0.003, seed="101")
     steps["best"] = run.evaluated(wide, 0.912, error=0.004, seed="102")
-    steps["start"] = run.evaluated(START, 0.6951, error=0.002, seed="103")
-    steps["bare"] = run.evaluated(wide.model_copy(update={"dbr_pairs": 0.0}), 0.65, error=0.003, seed="104")
+    steps["start"] = run.evaluated(START, 0.6951, error=0.002, seed="103", role="start")
+    steps["again"] = run.evaluated(wide, 0.912, error=0.004, seed="105", role="best")
+    plain = wide.model_copy(update={"dbr_pairs": 0.0})
+    steps["bare"] = run.evaluated(plain, 0.65, error=0.003, seed="104", role="without_dbr")
     run.note({"reason": "budget: 12 evaluations", "evaluations": 12})
     run.finish()
     return steps

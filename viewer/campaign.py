@@ -103,8 +103,11 @@ def _warnings(document: Document) -> Iterator[str]:
         )
     else:
         yield (
-            f"All {len(document['finalists'])} finalists were evaluated anew with seeds of their own. The best one is"
-            " still chosen by these numbers: where several lie within their errors, read it as one of them."
+            f"All {len(document['finalists'])} finalists were evaluated anew with seeds of their own, and the best of"
+            " them once more, which is the number shown: the best of several noisy numbers is flattered, this is not."
+            if document["best_is_confirmed"]
+            else f"All {len(document['finalists'])} finalists were evaluated anew with seeds of their own. The best"
+            " one is still chosen by these numbers: where several lie within their errors, read it as one of them."
         )
     if counts["failed"]:
         failed = "; ".join(f"{one['design']}: {one['failure']}" for one in document["failures"][:3])
@@ -130,8 +133,8 @@ def _learning(document: Document, arrays: Arrays) -> Iterator[str]:
     )
     if counts["episodes"]:
         caption += (
-            f" Below, as Figs. 6a-c count their iterations: {counts['episodes']} episodes, mean with the error of the"
-            " mean by the noise of its evaluations, and best of each."
+            f" Below, as Figs. 6a-c count their iterations: {counts['episodes']} episodes, mean with the mean error"
+            " of its evaluations (they share their random numbers, so it does not average out), and best of each."
         )
     caption += (
         " The best of many noisy steps is biased upwards, which is why the finalists are evaluated anew. Records"

@@ -105,14 +105,16 @@ def work(document: Document) -> Iterator[str]:
 def losses(document: Document, names: Mapping[str, str]) -> str:
     """The ledger and the optical events in numbers."""
     rows = []
-    for part, titles in (("ledger", ENDS), ("optical_events", EVENTS)):
+    for part, titles in (("ledger", ENDS | {"roulette": "made by roulette"}), ("optical_events", EVENTS)):
         for key, title in titles.items():
-            of_it = [document["shown"][name][part][key] for name in names]
+            of_it = [document["shown"][name][part].get(key) for name in names]
+            if not all(of_it):
+                continue
             rows.append((title, *(percent(one, 3) for one in of_it)))
     defect = max(abs(document["shown"][name]["ledger_defect"]) for name in names)
     caption = (
         f"Share of the emitted light, standard errors. All ends and the emitted light differ by {defect:.0e},"
-        " counting what roulette made, whose mean is 0."
+        " counting what roulette made, whose mean is 0 (a negative number: taken away)."
     )
     return html.table(("", *names.values()), rows, caption)
 

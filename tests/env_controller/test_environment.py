@@ -98,7 +98,7 @@ def test_an_action_becomes_a_film_then_rays_then_a_step() -> None:
     assert (step.design, step.uniformity, step.uniformity_error) == (DESIGN, 0.81, 0.01)
     assert step.state == pytest.approx((0.25, -5 / 9, 0.0, -0.4, -0.6))
     assert (step.physics_s, step.controller_s, step.cached) == (0.75, 1.0, False)
-    assert step.figures == {"mean_illuminance_lx": {"value": 9e4, "standard_error": 10.0}}
+    assert step.figures["mean_illuminance_lx"] == {"value": 9e4, "standard_error": 10.0}
     assert [line.split(" ", 1)[1] for line in story.agent.story("one", 0, 0)] == [
         f"to be evaluated: {DESIGN}", "waits for the film of 5.5 pairs", "has its film", "waits for its rays",
         "uniformity 0.8100, reward 0.0000",
@@ -236,6 +236,19 @@ def test_a_closed_run_wants_nothing_more() -> None:
     assert a.Unwant(ray.task.id) in commands
     assert a.Unwant(other.task.id) not in commands
     assert story.ray(ray) == []
+
+
+def test_a_blocked_move_says_again_what_is_known_of_the_lane() -> None:
+    """Uniformity with its error; after a failed evaluation nothing is known, so it fails, too."""
+    story = Story()
+    evaluated(story, 0.80, design=DESIGN)
+    (step,) = told(story.act(move=Move(variable="distance_um", steps=4)))
+    assert (step.uniformity, step.uniformity_error) == (0.8, 0.01)
+    film = wanted(story.act(1, design=DESIGN.model_copy(update={"dbr_pairs": 9.5})), "film")
+    story.fail(film, code="worker_lost", message="gone")
+    (unknown,) = told(story.act(1, move=Move(variable="distance_um", steps=4)))
+    assert unknown.failure is not None
+    assert unknown.reward == 0.0
 
 
 @pytest.mark.parametrize(
