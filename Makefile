@@ -12,6 +12,7 @@ help:
 	@echo "make bench      every benchmark, one table each (minutes)"
 
 run: .venv/.run
+	@echo "a design campaign of about a minute, on real worker processes"
 	$(BIN)/luxloop run
 
 test: .venv/.dev
@@ -34,11 +35,13 @@ bench: .venv/.dev
 	$(PYTHON) -m venv .venv
 
 .venv/.run: pyproject.toml constraints.txt | .venv/pyvenv.cfg
+	@echo "setting up in .venv: packages, then kernels are compiled (two to four minutes, once)"
 	$(BIN)/python -m pip install -q -c constraints.txt -e ".[all]"
 	$(BIN)/python -m containers.warm_up
 	@touch $@
 
 .venv/.dev: pyproject.toml constraints.txt | .venv/pyvenv.cfg
+	@echo "setting up in .venv: packages, then kernels are compiled (two to four minutes, once)"
 	$(BIN)/python -m pip install -q -c constraints.txt -e ".[dev]"
 	$(BIN)/python -m containers.warm_up
 	@touch $@ .venv/.run

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from luxloop.errors import InputError
+from luxloop.errors import InputError, LuxloopError
 from luxloop.settings import Settings, load_settings
+from luxloop.words import parse
 
 if TYPE_CHECKING:
     from agent.config import Campaign
@@ -19,6 +21,7 @@ if TYPE_CHECKING:
 Method = Literal["monte_carlo", "twin"]
 RewardName = Literal["r1", "r2", "r3", "gain"]
 INTERRUPTED = 130
+MOST_DESIGNS = 10_000_000
 QUICK_EVALUATIONS, QUICK_TIME_S = 150, 100.0
 """Of `luxloop run`: with set-up and finalists it ends within three minutes on two cores."""
 
@@ -98,7 +101,8 @@ def quick_run(
     settings = load_settings(runs=runs)
     campaign = _campaign(None, seed=seed, stop__evaluations=QUICK_EVALUATIONS, stop__time_s=QUICK_TIME_S)
     launched = _launched(settings, campaign, model, None, False, as_json or quiet)
-    page = None if launched.interrupted else write_report(settings.runs_dir / launched.run)
+    folder = Path(launched.ended.folder)
+    page = write_report(folder) if folder.is_dir() and not launched.interrupted else None
     _tell(launched, as_json, page)
 
 
@@ -135,7 +139,7 @@ def list_(runs: Runs = None, as_json: Json = False) -> None:
     from agent.launch import runs_of
     from agent.overview import overview
 
-    rows = [overview(folder) for folder in runs_of(load_settings(runs=runs))]
+    rows = [_row(overview, folder) for folder in runs_of(load_settings(runs=runs))]
     if as_json:
         typer.echo(json.dumps({"runs": rows}))
         return
@@ -143,6 +147,14 @@ def list_(runs: Runs = None, as_json: Json = False) -> None:
         typer.echo(_line(row))
     if not rows:
         typer.echo("no runs yet: luxloop run")
+
+
+def _row(overview: Callable[[Path], dict[str, Any]], folder: Path) -> dict[str, Any]:
+    """A run of the list; one that cannot be read does not hide the others."""
+    try:
+        return overview(folder)
+    except LuxloopError as error:
+        return {"run": folder.name, "folder": str(folder), "damaged": str(error)}
 
 
 def status(
@@ -193,7 +205,11 @@ def _stepped(name: str, step: str | None) -> Any:
         values = []
     if len(values) != len(Design.FIELDS):
         raise InputError("--step", step, "five numbers D,W,S,T,pairs", "for example 20,20,100,20,1")
-    return {**bounds, "step": Design.from_vector(values).model_dump()}
+    steps = parse(Design, dict(zip(Design.FIELDS, values, strict=True)), "--step").model_dump()
+    count = parse(Bounds, {**bounds, "step": steps}, "--step").count
+    if count > MOST_DESIGNS:
+        raise InputError("--step", step, f"a grid of at most {MOST_DESIGNS:,} designs", f"this has {count:,}")
+    return {**bounds, "step": steps}
 
 
 def _launched(
@@ -245,7 +261,8 @@ def as_text(document: dict[str, Any]) -> list[str]:
     if "report" in document:
         lines.append(f"report       {document['report']}")
     else:
-        lines.append(f"next         luxloop campaign report {document['run']}")
+        near = Path(document["folder"]).parent == load_settings().runs_dir.resolve()
+        lines.append(f"next         luxloop campaign report {document['run'] if near else document['folder']}")
     return lines
 
 
@@ -262,6 +279,8 @@ def in_words(one: dict[str, Any]) -> str:
 
 
 def _line(row: dict[str, Any]) -> str:
+    if "damaged" in row:
+        return f"{row['run']:40} damaged: luxloop audit verify {row['folder']}"
     best = row.get("best")
     state = "running" if row["running"] else "ended" if row["finished"] else "cut off"
     found = f"best {100.0 * best['uniformity']:.2f} %" if best else "nothing yet"

@@ -58,9 +58,10 @@ def compare(
     from agent.launch import launch, running_set
 
     names = [name.strip() for name in designers.split(",") if name.strip()]
-    for name in names:
-        if name not in NAMES:
-            raise InputError("--designers", name, " or ".join(NAMES))
+    for name in names or [designers]:
+        if name not in NAMES or names.count(name) > 1:
+            mend = "name each once" if name in NAMES else ""
+            raise InputError("--designers", name, " or ".join(NAMES), mend)
     settings = load_settings(router=router, runs=runs)
     campaign = read_campaign(
         config, bounds=bounds, method=method, walk_error_points=walk_error, final_error_points=final_error,

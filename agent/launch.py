@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import signal
 import sys
+import tempfile
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -21,13 +22,15 @@ from agent.moves import Space
 from luxloop import __version__
 from luxloop.campaign import Ended
 from luxloop.client import Client
-from luxloop.door import RunDoor
+from luxloop.door import LOST_S, RunDoor
+from luxloop.endpoint import listening
 from luxloop.errors import InputError, LuxloopError
 from luxloop.model_file import find_model, to_toml
 from luxloop.process import usable_cores
 from luxloop.settings import Settings, usable_cache
 from luxloop.words import canonical, sha256_of
 
+SAY_LOST_S = 5.0
 PATIENCE_S = 300.0  # a worker that starts for the first time compiles its kernels
 
 
@@ -97,6 +100,9 @@ def launch(
         RunDoor.begin(client, plan, facts, attachments) as door,
         live(show, name, campaign.stop.evaluations, client) as look,
     ):
+        door.on_lost = lost(show)
+        if Path(door.begun.folder) != (settings.runs_dir / name).resolve():
+            warn(f"the set at {client.settings.router} keeps its runs elsewhere: {door.begun.folder}")
         runner = Runner(
             door, chooser, campaign.stop, lanes=campaign.lanes, seed=campaign.seed, look=look,
             stop_wanted=interrupted.is_set,
@@ -120,13 +126,44 @@ def ray_workers(lanes: int) -> int:
     return max(1, min(lanes, usable_cores()))
 
 
+def lost(show: bool) -> Callable[[float], None]:
+    """Says on stderr, every few seconds, that nothing is heard from the controller."""
+    told_s = [0.0]
+
+    def tell(lost_s: float) -> None:
+        if lost_s - told_s[0] > SAY_LOST_S or lost_s < told_s[0]:
+            told_s[0] = lost_s
+            warn(f"nothing heard from the controller for {lost_s:.0f} s; given up after {LOST_S:g}")
+
+    return tell if show else lambda _: None
+
+
+def warn(text: str) -> None:
+    """A line for people."""
+    sys.stderr.write(f"luxloop: {text}\n")
+
+
 def refuse_taken_id(settings: Settings, name: str, local: bool) -> None:
     """InputError where a run of that id lies in our own folder: before anything is started."""
     folder = settings.runs_dir / name
+    if local and not listening(settings.router):
+        usable_runs(settings)
     if local and folder.exists():
         raise InputError(
             "--id", name, f"an id that {settings.runs_dir} does not hold", "take another, or leave it out"
         )
+
+
+def usable_runs(settings: Settings) -> None:
+    """InputError where our own controller could not write its runs: found out before anything is started."""
+    folder = settings.runs_dir
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        mend = f"{error.strerror or error}: mend that, or name another one by --runs or LUXLOOP_RUNS"
+        raise InputError("--runs", str(folder), "a folder that can be made and written", mend) from error
 
 
 @contextmanager

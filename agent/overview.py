@@ -25,7 +25,7 @@ def overview(folder: Path) -> dict[str, Any]:
         "kind": facts.get("kind", ""),
         "model": facts.get("model", ""),
         "running": journal.being_written,
-        "finished": (folder / "audit.sha256").exists(),
+        "finished": all(segment.index is not None for segment in journal.segments),
         "steps": len(steps),
         "evaluations": len({tuple(step.design.as_vector()) for step in walk}),
         "failed": sum(step.failure is not None for step in steps),

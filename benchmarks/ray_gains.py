@@ -102,6 +102,7 @@ def ways(scene: Scene, each: int, seeds: range) -> dict[str, tuple[Make, Read]]:
         "raw 64 x 64 bins, not modes": (walk, from_bins),
         "analog receiver, as in nature": (partial(walk, survival=ANALOG), from_modes),
         "implicit receiver, always on": (partial(walk, survival=IMPLICIT), from_modes),
+        "one direction off the substrate, no fan": (partial(walk, fan=1), from_modes),
         "random, not Sobol": (partial(walk, sobol=False), from_modes),
         "born everywhere, not in cones": (plain, from_modes),
         "none of all these": (

@@ -163,7 +163,8 @@ class Campaigns:
     def _open(self, name: str, designer: str) -> OpenRun:
         run = self._runs.get(name)
         if run is None:
-            raise _refused(f"no run {name!r} is open here", "begin it first; a run ends with its controller")
+            message = f"no run {name!r} is open at this controller"
+            raise RemoteError(Failure(code="not_found", message=message, mend="begin it first", where="controller"))
         if run.begin.designer != designer:
             raise _refused(f"the run {name!r} is in use by {run.begin.designer}", "one designer at a time")
         run.heard_s = time.monotonic()

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from types import TracebackType
 from typing import Any
 from uuid import uuid4
@@ -18,8 +18,12 @@ from luxloop.bus.frame import Parcel
 from luxloop.campaign import Action, AgentRecord, Begin, Begun, End, Ended, Note, Plan, Step
 from luxloop.client import AGAIN, Client
 from luxloop.errors import RemoteError
+from luxloop.failure import Failure
 from luxloop.messages import Nothing, Receipt
 from luxloop.words import Words
+
+LOST_S = 60.0
+"""A controller or router that is away for longer is given up; one that is started again is back in a few seconds."""
 
 
 class RunDoor:
@@ -30,6 +34,8 @@ class RunDoor:
         self.run = begun.run
         self.ended: Ended | None = None
         self.reason = "left early"
+        self.on_lost: Callable[[float], None] = lambda _: None
+        """Told for how long nothing was heard from the controller, now and then."""
 
     @classmethod
     def begin(
@@ -47,9 +53,22 @@ class RunDoor:
     def act(self, action: Action, until: Interrupt | None = None) -> Step:
         """The step that comes of an action, once it is on the controller's disk. Asks again while it takes."""
         while True:
-            parcel = _asked(self._client, "act", action, {"name": self.run}, until)
+            try:
+                parcel = _asked(self._client, "act", action, {"name": self.run}, until, self.on_lost)
+            except RemoteError as error:
+                if error.failure.code != "not_found":
+                    raise
+                raise RemoteError(self._gone()) from error
             if not isinstance(parcel.message, Nothing):
                 return parcel.expect(Step)
+
+    def _gone(self) -> Failure:
+        return Failure(
+            code="worker_lost",
+            message=f"the controller ended, and the run {self.run!r} with it; every step that was told is safe in"
+            f" {self.begun.folder}",
+            mend=f"luxloop campaign report {self.begun.folder}; to go on, begin a run with another id",
+        )
 
     def note(
         self, *, agent: AgentRecord | None = None, result: Mapping[str, Any] | None = None, log: str = ""
@@ -81,16 +100,27 @@ class RunDoor:
                     raise
 
 
-def _asked(client: Client, row: str, message: Words, parts: dict[str, str], until: Interrupt | None = None) -> Parcel:
+def _asked(
+    client: Client,
+    row: str,
+    message: Words,
+    parts: dict[str, str],
+    until: Interrupt | None = None,
+    on_lost: Callable[[float], None] = lambda _: None,
+) -> Parcel:
     """The answer to a question that may be asked again; who is away for a moment is waited for."""
     lost_since_s: float | None = None
     while True:
+        asked_s = time.monotonic()
         try:
-            return client.ask(row, message, parts, until)
+            found = client.ask(row, message, parts, until)
         except RemoteError as error:
             if error.failure.code not in AGAIN or error.failure.code == "refused" or (until and until.is_set()):
                 raise
-            lost_since_s = lost_since_s or time.monotonic()
-            if time.monotonic() - lost_since_s > client.patience_s:
+            lost_since_s = lost_since_s or asked_s
+            on_lost(time.monotonic() - lost_since_s)
+            if time.monotonic() - lost_since_s > LOST_S:
                 raise
             time.sleep(0.2)
+        else:
+            return found

@@ -71,5 +71,11 @@ class Contents:
 
     def _look(self, step: Step) -> None:
         best = self.best.get(step.final)
+        if step.final and step.role not in ("finalist", "best"):
+            return
+        if step.role == "best":  # the best finalist once more: the number that is reported
+            best = None
+        elif best is not None and best.role == "best":
+            return
         if step.feasible and step.failure is None and (best is None or step.uniformity > best.uniformity):
             self.best[step.final] = step

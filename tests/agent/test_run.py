@@ -86,6 +86,14 @@ def told(running: Set, run: str) -> list[tuple[int, int, Any, float, str]]:
     return sorted(rows, key=lambda row: row[:2])
 
 
+def steps_in(folder: Path) -> int:
+    """How many steps are on record so far; 0 before the journal has begun."""
+    try:
+        return len(list(RunJournal(folder).steps()))
+    except InputError:
+        return 0
+
+
 def test_a_campaign_leaves_a_journal_that_says_all(running: Set) -> None:
     """Every step with its learner's state, the result, the reason; the count is that of the file."""
     result = launched(running, "one")
@@ -134,9 +142,9 @@ def test_workers_and_router_that_are_killed_cost_no_step(running: Set) -> None:
     thread = threading.Thread(target=lambda: ends.append(launched(running, "storm", seed=7)))
     thread.start()
     journal = running.settings.runs_dir / "storm"
-    wait_for(lambda: journal.exists() and len(list(RunJournal(journal).steps())) > 5, "some steps")
+    wait_for(lambda: steps_in(journal) > 5, "some steps")
     running.workers[-1].send_signal(signal.SIGKILL)
-    wait_for(lambda: len(list(RunJournal(journal).steps())) > 15, "more steps")
+    wait_for(lambda: steps_in(journal) > 15, "more steps")
     running.router.send_signal(signal.SIGKILL)
     running.router.wait(10)
     running.router = start(running.settings, "-m", "luxloop", "serve", "router", "--quiet")
@@ -150,7 +158,7 @@ def test_a_designer_that_is_killed_leaves_a_journal_of_all_its_steps(running: Se
     argv = [sys.executable, "-m", "luxloop", "campaign", "run", "--no-local", "--id", "cut", "--evaluations", "5000"]
     process = subprocess.Popen(argv, env=as_environment(running.settings), stderr=subprocess.DEVNULL)
     journal = running.settings.runs_dir / "cut"
-    wait_for(lambda: journal.exists() and len(list(RunJournal(journal).steps())) > 20, "some steps", 60.0)
+    wait_for(lambda: steps_in(journal) > 20, "some steps", 60.0)
     process.kill()
     process.wait(10)
     steps = list(RunJournal(journal).steps())
@@ -164,7 +172,7 @@ def test_ctrl_c_finishes_the_steps_under_way_and_the_journal(running: Set) -> No
     argv = [sys.executable, "-m", "luxloop", "campaign", "run", "--no-local", "--id", "stop", "--evaluations", "5000"]
     process = subprocess.Popen(argv, env=as_environment(running.settings), stdout=subprocess.PIPE, text=True)
     journal = running.settings.runs_dir / "stop"
-    wait_for(lambda: journal.exists() and len(list(RunJournal(journal).steps())) > 20, "some steps", 60.0)
+    wait_for(lambda: steps_in(journal) > 20, "some steps", 60.0)
     process.send_signal(signal.SIGINT)
     out, _ = process.communicate(timeout=30)
     assert process.returncode == 130

@@ -101,7 +101,7 @@ def test_the_best_is_feasible_and_finalists_are_told_apart(tmp_path: Path) -> No
     """An infeasible step, a failed one and a finalist do not win the walk."""
     bad = a_step(0, 0.99, feasible=False, reason="chips overlap")
     failed = a_step(1, 0.98, failure={"code": "crashed", "message": "no"})
-    steps = [bad, failed, a_step(2, 0.7), a_step(3, 0.9, final=True)]
+    steps = [bad, failed, a_step(2, 0.7), a_step(3, 0.9, final=True, role="finalist")]
     entries = [records_of_step(step.number)[3] for step in steps]
     folder = rewritten(
         tmp_path / "r", [step_record(s, e.sequence, e.log_time_ns) for s, e in zip(steps, entries, strict=True)]

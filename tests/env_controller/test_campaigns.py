@@ -216,14 +216,14 @@ def test_a_run_that_exists_is_not_opened_again(desk: Desk) -> None:
     assert refusal(desk.act(designer="other").message).message.count("in use by d") == 1
     desk.end()
     assert "exists" in refusal(desk.begin()).message
-    assert refusal(desk.act().message).code == "refused"
+    assert refusal(desk.act().message).code == "not_found"
 
 
 def test_an_end_asked_twice_is_one(desk: Desk) -> None:
     """The second answer is the first."""
     desk.begin()
     assert desk.end() == desk.end()
-    assert refusal(desk.end(designer="other")).code == "refused"
+    assert refusal(desk.end(designer="other")).code == "not_found"
 
 
 def test_two_runs_at_once_have_their_own_journals(desk: Desk, tmp_path: Path) -> None:
