@@ -10,7 +10,7 @@ from luxloop.journal.reader import RunJournal
 
 
 def overview(folder: Path) -> dict[str, Any]:
-    """Id, kind, state, counts, the start and the best: of the finalists where there are some, else of the walk."""
+    """Id, kind, state, counts, start and best: as they were evaluated at the end, else as the walk saw them."""
     journal = RunJournal(folder)
     facts = journal.metadata("run")
     steps = list(journal.steps())
@@ -20,6 +20,7 @@ def overview(folder: Path) -> dict[str, Any]:
     best = max(walk, key=lambda step: step.uniformity, default=None)
     best = max((step for step in finals if step.role == "finalist"), key=lambda step: step.uniformity, default=best)
     best = next((step for step in finals if step.role == "best"), best)
+    start = next((step for step in finals if step.role == "start"), next(iter(walk), None))
     return {
         "run": facts.get("run", folder.name),
         "kind": facts.get("kind", ""),
@@ -30,7 +31,7 @@ def overview(folder: Path) -> dict[str, Any]:
         "evaluations": len({tuple(step.design.as_vector()) for step in walk}),
         "failed": sum(step.failure is not None for step in steps),
         "folder": str(folder.resolve()),
-        "start": plain(walk[0]) if walk else None,
+        "start": plain(start) if start else None,
         "best": plain(best) if best else None,
     }
 
