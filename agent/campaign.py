@@ -133,7 +133,7 @@ class Runner:
                 if proposed is not None:
                     under_way[lane] = proposed, pool.submit(self._door.act, self._action(lane, proposed))
             if not under_way:
-                return reason or "the designer has nothing more to propose"
+                return reason or "complete: the designer has proposed all it had"
 
     def _learn(self) -> None:
         """What the designer has to compute, while answers are awaited."""
