@@ -6,6 +6,7 @@ import signal
 import sys
 import tempfile
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -128,11 +129,12 @@ def ray_workers(lanes: int) -> int:
 
 def lost(show: bool) -> Callable[[float], None]:
     """Says on stderr, every few seconds, that nothing is heard from the controller."""
-    told_s = [0.0]
+    told_s = [-SAY_LOST_S]
 
     def tell(lost_s: float) -> None:
-        if lost_s - told_s[0] > SAY_LOST_S or lost_s < told_s[0]:
-            told_s[0] = lost_s
+        now_s = time.monotonic()
+        if now_s - told_s[0] >= SAY_LOST_S:  # every lane has lost it: one line for all of them
+            told_s[0] = now_s
             warn(f"nothing heard from the controller for {lost_s:.0f} s; given up after {LOST_S:g}")
 
     return tell if show else lambda _: None

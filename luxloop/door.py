@@ -79,11 +79,11 @@ class RunDoor:
         )
         _asked(self._client, "note", note, {"name": self.run}).expect(Receipt)
 
-    def end(self, reason: str) -> Ended:
+    def end(self, reason: str, patience_s: float = LOST_S) -> Ended:
         """Finish the journal; records and root, which should leave the machine."""
         if self.ended is None:
             end = End(run=self.run, designer=self.designer, reason=reason)
-            self.ended = _asked(self._client, "end", end, {"name": self.run}).expect(Ended)
+            self.ended = _asked(self._client, "end", end, {"name": self.run}, patience_s=patience_s).expect(Ended)
         return self.ended
 
     def __enter__(self) -> RunDoor:
@@ -93,8 +93,11 @@ class RunDoor:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         if self.ended is None:
-            try:
-                self.end(self.reason if error is None else f"{type(error).__name__}: {error}"[:1000])
+            try:  # after an error nobody is waited for: the controller closes a run whose designer is silent
+                if error is None:
+                    self.end(self.reason)
+                else:
+                    self.end(f"{type(error).__name__}: {error}"[:1000], patience_s=0.0)
             except RemoteError:
                 if error is None:
                     raise
@@ -107,6 +110,7 @@ def _asked(
     parts: dict[str, str],
     until: Interrupt | None = None,
     on_lost: Callable[[float], None] = lambda _: None,
+    patience_s: float = LOST_S,
 ) -> Parcel:
     """The answer to a question that may be asked again; who is away for a moment is waited for."""
     lost_since_s: float | None = None
@@ -119,7 +123,7 @@ def _asked(
                 raise
             lost_since_s = lost_since_s or asked_s
             on_lost(time.monotonic() - lost_since_s)
-            if time.monotonic() - lost_since_s > LOST_S:
+            if time.monotonic() - lost_since_s > patience_s:
                 raise
             time.sleep(0.2)
         else:
