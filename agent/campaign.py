@@ -14,6 +14,7 @@ from typing import Any, Protocol
 
 from agent.ask_tell import Designer, Proposal
 from agent.config import Stop
+from agent.in_words import plain
 from luxloop.campaign import Action, Role, Step
 from luxloop.design import Design
 from luxloop.words import sha256_of
@@ -80,10 +81,10 @@ class Found:
             "wall_s": seen.wall_s,
             "physics_s": seen.physics_s,
             "learner_s": seen.learner_s,
-            "start": _plain(self.start),
-            "best": _plain(self.best),
-            "without_dbr": _plain(self.without_dbr),
-            "finalists": [_plain(step) for step in self.finalists],
+            "start": plain(self.start),
+            "best": plain(self.best),
+            "without_dbr": plain(self.without_dbr),
+            "finalists": [plain(step) for step in self.finalists],
         }
 
 
@@ -238,17 +239,3 @@ def _gain(step: Step, best: Step) -> float:
 
 def _error(step: Step, best: Step) -> float:
     return float((step.uniformity_error**2 + best.uniformity_error**2) ** 0.5)
-
-
-def _plain(step: Step | None) -> dict[str, Any] | None:
-    if step is None:
-        return None
-    return {
-        "design": step.design.model_dump(),
-        "uniformity": step.uniformity,
-        "uniformity_error": step.uniformity_error,
-        "figures": step.figures,
-        "lane": step.lane,
-        "number": step.number,
-        "failure": step.failure.text() if step.failure else "",
-    }

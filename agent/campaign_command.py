@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from agent.in_words import line
 from luxloop.errors import InputError, LuxloopError
 from luxloop.settings import Settings, load_settings
 from luxloop.words import parse
@@ -144,7 +145,7 @@ def list_(runs: Runs = None, as_json: Json = False) -> None:
         typer.echo(json.dumps({"runs": rows}))
         return
     for row in rows:
-        typer.echo(_line(row))
+        typer.echo(_row_text(row))
     if not rows:
         typer.echo("no runs yet: luxloop run")
 
@@ -172,7 +173,7 @@ def status(
             typer.echo(f"{name:12} {value}")
     for name in ("start", "best"):
         if row.get(name):
-            typer.echo(f"{name:12} {in_words(row[name])}")
+            typer.echo(f"{name:12} {line(row[name])}")
 
 
 def folder_of(settings: Settings, run: str) -> Path:
@@ -247,12 +248,12 @@ def as_text(document: dict[str, Any]) -> list[str]:
     ]
     best, start, bare = (document[name] for name in ("best", "start", "without_dbr"))
     if best:
-        lines.append(f"best         {in_words(best)}")
-        lines += [f"finalist {i}   {in_words(one)}" for i, one in enumerate(document["finalists"], 1)]
+        lines.append(f"best         {line(best)}")
+        lines += [f"finalist {i}   {line(one)}" for i, one in enumerate(document["finalists"], 1)]
     if start:
-        lines.append(f"start        {in_words(start)}")
+        lines.append(f"start        {line(start)}")
     if bare:
-        lines.append(f"without DBR  {in_words(bare)}")
+        lines.append(f"without DBR  {line(bare)}")
     if best and start:
         gain = 100.0 * (best["uniformity"] - start["uniformity"])
         error = 100.0 * (best["uniformity_error"] ** 2 + start["uniformity_error"] ** 2) ** 0.5
@@ -266,19 +267,7 @@ def as_text(document: dict[str, Any]) -> list[str]:
     return lines
 
 
-def in_words(one: dict[str, Any]) -> str:
-    """A finalist or a step in a line."""
-    from luxloop.design import Design
-
-    if one.get("failure"):
-        return f"failed: {one['failure']}"
-    lux = one.get("figures", {}).get("mean_illuminance_lx")
-    light = f", {lux['value']:,.0f} +- {lux['standard_error']:,.0f} lx" if lux else ""
-    uniformity, error = 100.0 * one["uniformity"], 100.0 * one["uniformity_error"]
-    return f"{uniformity:.2f} +- {error:.2f} %{light}  {Design(**one['design'])}"
-
-
-def _line(row: dict[str, Any]) -> str:
+def _row_text(row: dict[str, Any]) -> str:
     if "damaged" in row:
         return f"{row['run']:40} damaged: luxloop audit verify {row['folder']}"
     best = row.get("best")

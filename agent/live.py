@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from agent.campaign import Progress
-from luxloop.campaign import Step
+from agent.in_words import line, plain
 from luxloop.errors import LuxloopError
 
 if TYPE_CHECKING:
@@ -66,8 +66,8 @@ class View:
         table.add_row(self._title, ProgressBar(self._evaluations, min(seen.evaluations, self._evaluations), width=40))
         table.add_row("stage", seen.stage)
         table.add_row("evaluations", f"{seen.evaluations} of {self._evaluations}, {seen.episodes} episodes")
-        table.add_row("now", in_words(seen.last))
-        table.add_row("best of the walk", in_words(seen.best))
+        table.add_row("now", line(plain(seen.last)))
+        table.add_row("best of the walk", line(plain(seen.best)))
         if seen.epsilon is not None:
             table.add_row("random moves", f"{100.0 * seen.epsilon:.0f} %")
         table.add_row("workers", self._busy())
@@ -88,14 +88,3 @@ class View:
             except LuxloopError:
                 self._workers = "the controller does not answer"
         return self._workers or "none yet: one that starts for the first time compiles for a minute"
-
-
-def in_words(step: Step | None) -> str:
-    """A step in a line: uniformity with its error, the design."""
-    if step is None:
-        return "-"
-    if step.failure is not None:
-        return f"failed: {step.failure.message}"
-    if not step.feasible:
-        return f"cannot be built: {step.design}"
-    return f"{100.0 * step.uniformity:.2f} +- {100.0 * step.uniformity_error:.2f} %  {step.design}"

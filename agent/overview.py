@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from luxloop.campaign import Step
+from agent.in_words import plain
 from luxloop.journal.reader import RunJournal
 
 
@@ -31,17 +31,6 @@ def overview(folder: Path) -> dict[str, Any]:
         "evaluations": len({tuple(step.design.as_vector()) for step in walk}),
         "failed": sum(step.failure is not None for step in steps),
         "folder": str(folder.resolve()),
-        "start": plain(start) if start else None,
-        "best": plain(best) if best else None,
-    }
-
-
-def plain(step: Step) -> dict[str, Any]:
-    """The figures of a step as plain values."""
-    return {
-        "design": step.design.model_dump(),
-        "uniformity": step.uniformity,
-        "uniformity_error": step.uniformity_error,
-        "figures": step.figures,
-        "final": step.final,
+        "start": plain(start),
+        "best": plain(best),
     }

@@ -1,20 +1,14 @@
-"""What happens to the environment-control agent, and what it wants done: plain frozen facts."""
+"""What happens to the environment-control agent, and what it wants done: plain frozen facts, as those of the core."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import Any
 
+from env_controller.events import Command, Event
 from luxloop.campaign import Action, Plan, Step
 from luxloop.failure import Failure
 from luxloop.messages import Task
-
-
-@dataclass(frozen=True)
-class Event:
-    """Something happened at `at_s`, on a clock that does not run backwards."""
-
-    at_s: float
 
 
 @dataclass(frozen=True)
@@ -46,11 +40,6 @@ class Closed(Event):
     """A run is over; what it still wants is of no use."""
 
     run: str
-
-
-@dataclass(frozen=True)
-class Command:
-    """Something the process around must do."""
 
 
 @dataclass(frozen=True)

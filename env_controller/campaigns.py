@@ -17,6 +17,7 @@ from typing import NamedTuple
 from env_controller import actions as a
 from env_controller.audit.machine import machine
 from env_controller.environment import EnvironmentAgent
+from env_controller.events import Command
 from luxloop.bus import Asked
 from luxloop.bus.frame import Array, decode, encode
 from luxloop.bus.keys import HOLD_S
@@ -180,7 +181,7 @@ class Campaigns:
                 lane.asked.reply(Nothing())
             lane.asked, lane.until_s = asked, now_s + HOLD_S
 
-    def _perform(self, commands: list[a.Command], result: Result | None = None) -> None:
+    def _perform(self, commands: list[Command], result: Result | None = None) -> None:
         """Do what the agent wants; what goes on one run's record becomes durable together."""
         records: dict[str, list[Record]] = {}
         steps: dict[str, list[Step]] = {}

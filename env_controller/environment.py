@@ -23,10 +23,11 @@ from typing import Any
 import numpy as np
 
 from env_controller import actions as a
+from env_controller.events import Command, Event
 from env_controller.rewards import reward_of
 from env_controller.trials import Lane, Run, Trial, film_task, ray_task
 from luxloop.campaign import Action, Plan, Step, figures_of
-from luxloop.design import LENGTH_DECIMALS, Design, nearest_half
+from luxloop.design import Design
 from luxloop.errors import InputError
 from luxloop.failure import Failure
 from luxloop.ray import Film
@@ -45,14 +46,14 @@ class EnvironmentAgent:
         self._trials: dict[str, list[Trial]] = {}  # by the task they wait for
         self._ahead: dict[str, set[tuple[str, float]]] = {}  # runs and pairs, by film task
         self._stories: OrderedDict[tuple[str, int, int], list[str]] = OrderedDict()
-        self._rules: dict[type[a.Event], Callable[[Any], list[a.Command]]] = {
+        self._rules: dict[type[Event], Callable[[Any], list[Command]]] = {
             a.Opened: self._opened,
             a.Acted: self._acted,
             a.Ended: self._ended,
             a.Closed: self._closed,
         }
 
-    def handle(self, event: a.Event) -> list[a.Command]:
+    def handle(self, event: Event) -> list[Command]:
         """The commands that follow from one event. Raises InputError for an action that cannot be meant."""
         return self._rules[type(event)](event)
 
@@ -60,13 +61,13 @@ class EnvironmentAgent:
         """What happened to an action, one line each, oldest first."""
         return list(self._stories.get((run, lane, number), []))
 
-    def _opened(self, event: a.Opened) -> list[a.Command]:
+    def _opened(self, event: a.Opened) -> list[Command]:
         self.runs[event.plan.run] = Run(event.plan)
         return []
 
-    def _closed(self, event: a.Closed) -> list[a.Command]:
+    def _closed(self, event: a.Closed) -> list[Command]:
         self.runs.pop(event.run, None)
-        commands: list[a.Command] = []
+        commands: list[Command] = []
         for task_id, trials in list(self._trials.items()):
             self._trials[task_id] = [trial for trial in trials if trial.run != event.run]
             if not self._trials[task_id]:
@@ -79,7 +80,7 @@ class EnvironmentAgent:
                 commands.append(a.Unwant(task_id))
         return commands
 
-    def _acted(self, event: a.Acted) -> list[a.Command]:
+    def _acted(self, event: a.Acted) -> list[Command]:
         action = event.action
         run = self._run(action.run)
         lane = self._lane(run, action)
@@ -117,13 +118,9 @@ class EnvironmentAgent:
             return action.design
         if lane.design is None or action.move is None:
             raise InputError("move", str(action.move), "a design", "a lane begins with a design")
-        name = action.move.variable
-        low, high, step = (getattr(end, name) for end in (plan.bounds.low, plan.bounds.high, plan.bounds.step))
-        value = getattr(lane.design, name) + action.move.steps * step
-        value = nearest_half(value) if name == "dbr_pairs" else round(value, LENGTH_DECIMALS)
-        return lane.design.model_copy(update={name: value}) if low <= value <= high else None
+        return plan.bounds.moved(lane.design, action.move.variable, action.move.steps)
 
-    def _blocked(self, event: a.Acted, run: Run, lane: Lane) -> list[a.Command]:
+    def _blocked(self, event: a.Acted, run: Run, lane: Lane) -> list[Command]:
         """A move out of the bounds: the lane stays where it is."""
         action, design = event.action, lane.design
         assert design is not None  # noqa: S101  # `_moved` looked
@@ -138,7 +135,7 @@ class EnvironmentAgent:
         known = {"uniformity_error": lane.uniformity_error, "figures": lane.figures, "cached": True}
         return [self._told(run, trial, event.at_s, uniformity=lane.uniformity, reason=reason, **known)]
 
-    def _film_first(self, run: Run, trial: Trial, at_s: float) -> list[a.Command]:
+    def _film_first(self, run: Run, trial: Trial, at_s: float) -> list[Command]:
         pairs = trial.design.dbr_pairs
         if pairs == 0.0:
             return self._ray(run, trial, None, at_s)
@@ -151,10 +148,10 @@ class EnvironmentAgent:
         self._tell(trial, at_s, f"waits for the film of {pairs:g} pairs")
         return [a.Want(trial.run, trial.film_task), *ahead]
 
-    def _films_ahead(self, run: Run, pairs: float) -> list[a.Command]:
+    def _films_ahead(self, run: Run, pairs: float) -> list[Command]:
         """Films that a next step may need, those within the bounds that are neither known nor wanted."""
         low, high = run.plan.bounds.low.dbr_pairs, run.plan.bounds.high.dbr_pairs
-        commands: list[a.Command] = []
+        commands: list[Command] = []
         for near in (pairs + change for change in NEIGHBOURS):
             if not max(low, 0.5) <= near <= high or near in run.films:
                 continue
@@ -165,7 +162,7 @@ class EnvironmentAgent:
                 commands.append(a.Want(run.plan.run, task, ahead=True))
         return commands
 
-    def _ray(self, run: Run, trial: Trial, film: Film | None, at_s: float) -> list[a.Command]:
+    def _ray(self, run: Run, trial: Trial, film: Film | None, at_s: float) -> list[Command]:
         trial.ray_task = ray_task(run.plan, trial.action, trial.design, film)
         known = run.results.get(trial.ray_task.id)
         if known is not None:
@@ -174,11 +171,11 @@ class EnvironmentAgent:
         self._tell(trial, at_s, "waits for its rays")
         return [a.Want(trial.run, trial.ray_task, group=film.sha256 if film else "")]
 
-    def _ended(self, event: a.Ended) -> list[a.Command]:
+    def _ended(self, event: a.Ended) -> list[Command]:
         trials = self._trials.pop(event.task_id, [])
         ahead = self._ahead.pop(event.task_id, set())
         runs = list(dict.fromkeys([*(trial.run for trial in trials), *(run for run, _ in ahead)]))
-        commands: list[a.Command] = [a.Record(run, event.task_id) for run in runs if run in self.runs]
+        commands: list[Command] = [a.Record(run, event.task_id) for run in runs if run in self.runs]
         if any(trial.ray_task is None for trial in trials) or ahead:
             self._keep_film(event, trials, ahead)
         for trial in trials:
@@ -194,7 +191,7 @@ class EnvironmentAgent:
             if name in self.runs:
                 self.runs[name].films[pairs] = film_task(self.runs[name].plan, pairs), film
 
-    def _go_on(self, run: Run, trial: Trial, event: a.Ended) -> list[a.Command]:
+    def _go_on(self, run: Run, trial: Trial, event: a.Ended) -> list[Command]:
         """What follows for one action from a task's end."""
         trial.physics_s += event.compute_s
         if trial.ray_task is None and event.failure is None:

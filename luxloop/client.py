@@ -58,7 +58,7 @@ class Client:
         self, settings: Settings, *, local: bool = True, patience_s: float = 30.0, ray_workers: int = 1
     ) -> None:
         """Finds the set at `settings.router`, or starts one with so many ray-tracing workers where `local` allows."""
-        self.patience_s = patience_s
+        self._patience_s = patience_s
         self._asker = f"{os.getpid()}-{uuid4().hex[:8]}"
         self._closing = Interrupt()
         self._stack = ExitStack()
@@ -92,7 +92,7 @@ class Client:
         """
         task, until = as_task(request), until or self._closing
         row, key = KEYS["submit"], at(self.settings.realm, "submit", kind=as_task(request).kind)
-        submit = Submit(task=task, asker=self._asker, fresh=fresh, patience_s=self.patience_s, limit_s=limit_s)
+        submit = Submit(task=task, asker=self._asker, fresh=fresh, patience_s=self._patience_s, limit_s=limit_s)
         lost_since_s: float | None = None
         while True:
             try:
@@ -104,7 +104,7 @@ class Client:
                 if error.failure.code not in AGAIN or until.is_set():
                     raise
                 lost_since_s = lost_since_s or time.monotonic()
-                if time.monotonic() - lost_since_s > self.patience_s:
+                if time.monotonic() - lost_since_s > self._patience_s:
                     raise
                 time.sleep(0.2)
                 continue

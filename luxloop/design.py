@@ -111,6 +111,13 @@ class Bounds(Words):
         """The design of the box nearest to `design`, variable by variable."""
         return Design.from_vector(np.clip(design.as_vector(), self.low.as_vector(), self.high.as_vector()))
 
+    def moved(self, design: Design, name: str, steps: int) -> Design | None:
+        """The design with one variable so many steps further; None where that lies outside the box."""
+        low, high, step = (float(getattr(end, name)) for end in (self.low, self.high, self.step))
+        value = getattr(design, name) + steps * step
+        value = nearest_half(value) if name == "dbr_pairs" else round(value, LENGTH_DECIMALS)
+        return design.model_copy(update={name: value}) if low <= value <= high else None
+
     def normalise(self, design: Design) -> NDArray[np.float64]:
         """The design in [-1, 1] per variable, shape (5,): -1 at `low`, 1 at `high`, 0 where the two are equal."""
         return (design.as_vector() - self._middle()) / self._half_range(where_zero=1.0)

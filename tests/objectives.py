@@ -19,13 +19,13 @@ The weights of B and C are this file's own.
 from __future__ import annotations
 
 import functools
-import math
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import j0, k1
 
+from env_controller.rewards import reward_of
 from luxloop.campaign import Action, Reward, Step
 from luxloop.design import LENGTH_DECIMALS, Bounds, Design
 from luxloop.failure import Failure
@@ -186,7 +186,7 @@ class Controller:
             **words,
             uniformity=u / 100.0,
             uniformity_error=self.noise * abs(u) / 100.0,
-            reward=reward_of(self.reward, before, u),
+            reward=reward_of(self.reward, u / 100.0, before / 100.0),
             feasible=infeasible is None,
             reason=infeasible or reason,
             cached=cached,
@@ -197,13 +197,8 @@ class Controller:
             return action.design, ""
         assert action.move is not None
         at, _ = self.lanes[action.lane]
-        value = getattr(at, action.move.variable) + action.move.steps * getattr(
-            self.bounds.step, action.move.variable
-        )
-        low, high = (getattr(end, action.move.variable) for end in (self.bounds.low, self.bounds.high))
-        if not low <= value <= high:
-            return at, "outside the bounds"
-        return at.model_copy(update={action.move.variable: round(value, LENGTH_DECIMALS)}), ""
+        moved = self.bounds.moved(at, action.move.variable, action.move.steps)
+        return (moved, "") if moved is not None else (at, "outside the bounds")
 
     def _seen(self, point: Point) -> float:
         """The objective with the noise that belongs to this design and seed."""
@@ -212,13 +207,3 @@ class Controller:
             return u
         key = [self.seed, *(round(1e3 * x) for x in point)]
         return u * (1.0 + self.noise * float(np.random.default_rng(key).standard_normal()))
-
-
-def reward_of(reward: Reward, before_percent: float, now_percent: float) -> float:
-    """The reward of that name, uniformities in percent."""
-    return {
-        "r1": (now_percent - before_percent) / 100.0,
-        "r2": math.pow(now_percent - 75.0, 3) / 1000.0,
-        "r3": math.pow(now_percent - 79.0, 3) / 1000.0,
-        "gain": (now_percent - before_percent) / 10.0,
-    }[reward]

@@ -21,12 +21,13 @@ from numpy.typing import NDArray
 from containers.bsdf import Lambertian
 from containers.ray_tracing.arrays import ENDS, TRACE
 from containers.ray_tracing.kernel import EXIT, exits_of_group, land_group, scratch
-from containers.ray_tracing.monte_carlo import BLOCK, SURVIVAL, usable_threads
+from containers.ray_tracing.monte_carlo import BLOCK, SURVIVAL
 from containers.ray_tracing.packing import emission_arrays, scene_arrays
 from containers.ray_tracing.sobol import DIRECTIONS
 from containers.ray_tracing.tally import GROUPS, Tally
 from containers.scene import Cell, Receiver, Scene
 from luxloop.errors import InputError
+from luxloop.process import usable_cores
 
 Real = NDArray[np.float64]
 Single = NDArray[np.float32]
@@ -113,7 +114,7 @@ def make_exits(
                 report(done[0] / (len(blocks) * groups))
         return found
 
-    with ThreadPoolExecutor(threads or usable_threads()) as pool:
+    with ThreadPoolExecutor(threads or usable_cores()) as pool:
         of_groups = list(pool.map(of_group, range(groups)))
     counts = np.array([[len(block.rays) for block in found] for found in of_groups], np.int64)
     last = np.cumsum(counts.ravel()).reshape(counts.shape)
@@ -174,7 +175,7 @@ class Landing:
         self.tally = Tally.empty(scene, groups if callable(exits) else exits.ends.shape[0], direction_bins)
         self._arrays, self._emission = scene_arrays(scene), emission_arrays(scene)
         self._survival, self._fan = survival, fan
-        self._threads = threads or usable_threads()
+        self._threads = threads or usable_cores()
 
     def run_to(self, histories: int, report: Callable[[float], None] | None = None) -> Tally:
         """Land the exits of the first `histories` (a multiple of `BLOCK`) of each group."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -17,6 +16,7 @@ from containers.ray_tracing.sobol import DIRECTIONS
 from containers.ray_tracing.tally import GROUPS, Tally
 from containers.scene import Scene
 from luxloop.errors import InputError
+from luxloop.process import usable_cores
 
 BLOCK = 1024
 """Histories of a group that belong together; a run is a whole number of them."""
@@ -51,7 +51,7 @@ class MonteCarlo:
         self.arrays: SceneArrays = scene_arrays(scene)
         self._emission = emission_arrays(scene)
         self._sobol, self._survival, self._fan = sobol, survival, fan
-        self._threads = threads or usable_threads()
+        self._threads = threads or usable_cores()
         self._calls = BLOCK // 8
         """Histories of a group in one call; grows until a call takes about `CHUNK_S`."""
 
@@ -77,11 +77,6 @@ class MonteCarlo:
             self.arrays, self._emission, np.uint64(self.seed), group, tally.groups, tally.histories, count,
             self._sobol, self._survival, self._fan, DIRECTIONS, tally.sinks(group), scratch(),
         )  # fmt: skip
-
-
-def usable_threads() -> int:
-    """Threads to compute on: those of the machine that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def blocks_of(histories: int, groups: int = GROUPS) -> int:

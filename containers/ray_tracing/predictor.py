@@ -17,7 +17,7 @@ from containers.ray_tracing.build import cell_of, scene_of
 from containers.ray_tracing.exit_source import BATCH, ExitSource
 from containers.ray_tracing.exits import Exits
 from containers.ray_tracing.field import Field
-from containers.ray_tracing.monte_carlo import BLOCK, blocks_of, usable_threads
+from containers.ray_tracing.monte_carlo import BLOCK, blocks_of
 from containers.ray_tracing.outcome import Arrays, Document, solved
 from containers.ray_tracing.simulation import layout_of, refuse_other_film, solver_of
 from containers.ray_tracing.tally import GROUPS
@@ -38,6 +38,7 @@ from containers.thin_film.table import FilmTable
 from luxloop.computation import Progress
 from luxloop.effect import did_you_mean, refuse_twice
 from luxloop.errors import InputError
+from luxloop.process import usable_cores
 from luxloop.ray import AnchorRequest, Film, Module, PredictionRequest, RayRequest, ShotRequest
 from luxloop.words import sha256_of
 
@@ -58,7 +59,7 @@ class Predictor:
     """What predicts images for a worker; `source` has the stored chip exits."""
 
     def __init__(self, source: ExitSource, threads: int | None = None) -> None:
-        self._source, self._threads = source, threads or usable_threads()
+        self._source, self._threads = source, threads or usable_cores()
         self._anchors: OrderedDict[str, Anchor] = OrderedDict()
 
     def answer(self, request: PredictionRequest, film_of: FilmOf, progress: Progress) -> tuple[Document, Arrays]:

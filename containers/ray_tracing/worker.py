@@ -9,7 +9,6 @@ from typing import Any
 
 from containers.known_effects import refuse_unknown
 from containers.ray_tracing.exit_source import ExitSource
-from containers.ray_tracing.monte_carlo import usable_threads
 from containers.ray_tracing.predictor import Predictor
 from containers.ray_tracing.simulation import simulate
 from containers.ray_tracing.twin.columns import COLUMNS
@@ -24,6 +23,7 @@ from luxloop.errors import InputError, RemoteError
 from luxloop.failure import Failure
 from luxloop.film import Grid, Spectrum
 from luxloop.model import Environment
+from luxloop.process import usable_cores
 from luxloop.ray import KIND, ChipArray, Film, PredictionRequest, RayRequest
 from luxloop.words import parse
 
@@ -125,7 +125,7 @@ def wanted_threads() -> int:
     """Threads to compute on: LUXLOOP_THREADS, or as many as this process may use."""
     given = os.environ.get("LUXLOOP_THREADS", "")
     if not given:
-        return usable_threads()
+        return usable_cores()
     if not given.isdecimal() or not 1 <= int(given) <= MOST_THREADS:
         allowed, mend = f"a whole number from 1 to {MOST_THREADS}", "leave it out to use all cores"
         raise InputError("LUXLOOP_THREADS", given, allowed, mend)

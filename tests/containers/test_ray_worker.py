@@ -13,7 +13,7 @@ import pytest
 
 from containers.ray_tracing import worker as worker_module
 from containers.ray_tracing.exit_source import ExitSource
-from containers.ray_tracing.monte_carlo import BLOCK, usable_threads
+from containers.ray_tracing.monte_carlo import BLOCK
 from containers.ray_tracing.simulation import simulate
 from containers.ray_tracing.worker import RayComputation, wanted_threads
 from containers.stack import dbr_of
@@ -27,6 +27,7 @@ from luxloop.errors import InputError, RemoteError
 from luxloop.failure import Failure
 from luxloop.film import FilmTableRequest, Grid, Spectrum
 from luxloop.model import Environment
+from luxloop.process import usable_cores
 from luxloop.ray import PredictionRequest, RayRequest
 from luxloop.settings import Settings
 from luxloop.words import parse
@@ -122,7 +123,7 @@ def test_bad_requests_name_the_field(change: dict[str, Any], field: str) -> None
     assert caught.value.field == f"ray request: {field}"
 
 
-@pytest.mark.parametrize(("given", "threads"), [("", usable_threads()), ("1", 1), ("3", 3)])
+@pytest.mark.parametrize(("given", "threads"), [("", usable_cores()), ("1", 1), ("3", 3)])
 def test_threads_are_chosen_by_the_environment(monkeypatch: pytest.MonkeyPatch, given: str, threads: int) -> None:
     """LUXLOOP_THREADS, or as many as this process may use."""
     monkeypatch.setenv("LUXLOOP_THREADS", given)

@@ -8,6 +8,7 @@ import pytest
 
 from env_controller import actions as a
 from env_controller.environment import EnvironmentAgent
+from env_controller.events import Command
 from env_controller.rewards import reward_of
 from luxloop.campaign import Action, Fidelity, Move, Plan, Step
 from luxloop.design import Bounds, Design
@@ -36,7 +37,7 @@ class Story:
         for one in plans or (plan(),):
             self.agent.handle(a.Opened(0.0, one))
 
-    def act(self, lane: int = 0, run: str = "one", **what: Any) -> list[a.Command]:
+    def act(self, lane: int = 0, run: str = "one", **what: Any) -> list[Command]:
         number = self.numbers.get((run, lane), 0)
         commands = self.agent.handle(
             a.Acted(self.now, Action(run=run, designer="d", lane=lane, number=number, **what))
@@ -44,28 +45,28 @@ class Story:
         self.numbers[run, lane] = number + 1
         return commands
 
-    def film(self, want: a.Want, sha256: str = "f" * 64) -> list[a.Command]:
+    def film(self, want: a.Want, sha256: str = "f" * 64) -> list[Command]:
         return self.agent.handle(
             a.Ended(self.now, want.task.id, {"table_sha256": sha256, "table_bytes": 9}, compute_s=0.25)
         )
 
-    def ray(self, want: a.Want, uniformity: float = 0.8) -> list[a.Command]:
+    def ray(self, want: a.Want, uniformity: float = 0.8) -> list[Command]:
         self.now += 1.0
         figure = {"value": uniformity, "standard_error": 0.01}
         metrics = {"uniformity": figure, "mean_illuminance_lx": {"value": 9e4, "standard_error": 10.0}}
         return self.agent.handle(a.Ended(self.now, want.task.id, {"metrics": metrics}, compute_s=0.5))
 
-    def fail(self, want: a.Want, **failure: Any) -> list[a.Command]:
+    def fail(self, want: a.Want, **failure: Any) -> list[Command]:
         return self.agent.handle(a.Ended(self.now, want.task.id, None, Failure(**failure)))
 
 
-def wanted(commands: list[a.Command], kind: str) -> a.Want:
+def wanted(commands: list[Command], kind: str) -> a.Want:
     """The one task of a kind that is wanted now."""
     (want,) = [c for c in commands if isinstance(c, a.Want) and c.task.kind == kind and not c.ahead]
     return want
 
 
-def told(commands: list[a.Command]) -> list[Step]:
+def told(commands: list[Command]) -> list[Step]:
     """The steps that are told."""
     return [command.step for command in commands if isinstance(command, a.Tell)]
 
@@ -274,7 +275,7 @@ def test_actions_that_cannot_be_meant_are_refused(what: dict[str, Any], field: s
 def test_the_same_events_give_the_same_commands() -> None:
     """Nothing hides in clocks or order."""
 
-    def live() -> list[list[a.Command]]:
+    def live() -> list[list[Command]]:
         story = Story()
         found = [story.act(lane, design=DESIGN) for lane in range(3)]
         film = wanted(found[0], "film")

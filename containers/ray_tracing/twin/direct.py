@@ -35,12 +35,13 @@ from containers.ray_tracing.arrays import (
 )
 from containers.ray_tracing.exits import LANDING, Exits
 from containers.ray_tracing.kernel import scratch
-from containers.ray_tracing.monte_carlo import BLOCK, usable_threads
+from containers.ray_tracing.monte_carlo import BLOCK
 from containers.ray_tracing.packing import scene_arrays
 from containers.ray_tracing.tally import OPTICAL_EVENTS, Box, Tally
 from containers.ray_tracing.twin.direct_kernel import WayArrays, land_direct
 from containers.scene import Receiver, Scene
 from luxloop.errors import InputError
+from luxloop.process import usable_cores
 
 Real = NDArray[np.float64]
 
@@ -179,7 +180,7 @@ def direct_light(
 
 def in_parallel(work: Callable[[int], None], numbers: range, threads: int | None) -> None:
     """Call `work` with each number, on several threads at once; all that may be used by default."""
-    threads = threads or usable_threads()
+    threads = threads or usable_cores()
     if threads == 1:
         for number in numbers:
             work(number)
