@@ -1,0 +1,127 @@
+"""Whose turn it is at the dispatch core: shares, films, what is wanted ahead, and slow tasks that are hedged."""
+
+from __future__ import annotations
+
+import pytest
+
+from env_controller import events as e
+from tests.env_controller.stories import A, B, Story
+
+
+def slow_story() -> Story:
+    """Two workers; it is known that tasks take a tenth of a second; A has been with w1 for ten seconds."""
+    story = Story(silence_s=60.0)
+    story.join("w1")
+    story.join("w2")
+    for number in range(8):
+        story.submit(f"{number}" * 64)
+        story.poll("w1")
+        story.now += 0.1
+        story.deliver("w1", f"{number}" * 64)
+    story.submit(A)
+    story.poll("w1")
+    story.now += 10.0
+    return story
+
+
+def test_the_slowest_task_is_hedged_when_nothing_else_waits() -> None:
+    """An idle worker gets it too; the first to deliver ends it, the other is told to stop."""
+    story = slow_story()
+    assert story.poll("w2") == [e.Grant(story.polls, "w2", A, 2)]
+    assert story.deliver("w2", A, 2) == [
+        e.Receive("w2", A, 2, accepted=True),
+        e.Stop("w1", A, 1),
+        e.Finish(A, "done"),
+    ]
+    assert not story.deliver("w1", A, 1)[0].accepted  # type: ignore[attr-defined]
+    assert story.core.hedged == 1
+
+
+def test_the_slow_one_may_still_win() -> None:
+    """The first attempt counts as long as nobody else delivered."""
+    story = slow_story()
+    story.poll("w2")
+    assert story.deliver("w1", A, 1)[1:] == [e.Stop("w2", A, 2), e.Finish(A, "done")]
+    assert story.core.leases == story.core.hedges == {}
+
+
+def test_what_waits_goes_before_a_hedge() -> None:
+    """An idle worker takes a ready task first, and no task gets a third lease."""
+    story = slow_story()
+    story.submit(B)
+    assert story.poll("w2") == [e.Grant(story.polls, "w2", B, 1)]
+    story.deliver("w2", B)
+    story.poll("w2")
+    story.join("w3")
+    assert story.poll("w3") == []
+
+
+def test_a_task_that_is_not_slow_is_not_hedged() -> None:
+    """Nor one of a kind of which little is known."""
+    story = slow_story()
+    story.now -= 9.0
+    assert story.poll("w2") == []
+    new = Story(silence_s=60.0).leased("w1", A)
+    new.join("w2")
+    new.now += 50.0
+    assert new.poll("w2") == []
+
+
+@pytest.mark.parametrize("lost", ["w1", "w2"])
+def test_of_two_leases_one_may_be_lost(lost: str) -> None:
+    """The other goes on alone, nothing is queued again; then it too is lost, and the task is ready."""
+    story, other = slow_story(), "w2" if lost == "w1" else "w1"
+    story.poll("w2")
+    story.core.handle(e.Left(story.now, lost, "gone"))
+    assert story.core.hedges == {}
+    assert story.core.leases[A].worker == other
+    assert A not in story.core.ready.get("film", ())
+    story.core.handle(e.Left(story.now, other, "gone"))
+    assert A in story.core.ready["film"]
+
+
+def test_two_shares_get_task_for_task() -> None:
+    """A campaign with ten tasks waiting does not hold up one with two."""
+    story = Story()
+    story.join()
+    for number in range(10):
+        story.submit(f"{number}" * 64, share="long")
+    for task in (A, B):
+        story.submit(task, share="short")
+    order = []
+    for _ in range(6):
+        (grant,) = story.poll()
+        order.append(grant.task_id[0])  # type: ignore[attr-defined]
+        story.deliver("w1", grant.task_id)  # type: ignore[attr-defined]
+    assert order == ["0", "a", "1", "b", "2", "3"]
+
+
+def test_a_worker_is_given_the_film_it_had() -> None:
+    """Of the next eight; then the oldest goes first."""
+    story = Story()
+    story.join()
+    for number, group in enumerate("fgfggggggf"):
+        story.submit(f"{number}" * 64, group=group)
+    order = []
+    for _ in range(10):
+        (grant,) = story.poll()
+        order.append(int(grant.task_id[0]))  # type: ignore[attr-defined]
+        story.deliver("w1", grant.task_id)  # type: ignore[attr-defined]
+    assert order == [0, 2, 9, 1, 3, 4, 5, 6, 7, 8]
+
+
+def test_what_is_wanted_ahead_waits_for_all_else_until_it_is_wanted_now() -> None:
+    """A film that may be needed is computed when nothing else is; once asked for in earnest it is like others."""
+    story = Story()
+    story.join()
+    story.submit(A, ahead=True)
+    story.submit(B)
+    assert story.poll()[0].task_id == B  # type: ignore[attr-defined]
+    story.deliver("w1", B)
+    story.submit("c" * 64)
+    story.submit(A)
+    story.submit("d" * 64)
+    (grant,) = story.poll()
+    assert grant.task_id == "c" * 64  # type: ignore[attr-defined]
+    story.deliver("w1", "c" * 64)
+    assert story.poll()[0].task_id == A  # type: ignore[attr-defined]
