@@ -22,48 +22,28 @@ from luxloop.errors import InputError, LuxloopError, RemoteError
 from luxloop.journal.reader import RunJournal
 from luxloop.model_file import find_model
 from luxloop.settings import Settings, as_environment
-from tests.conftest import start, stop, wait_for
+from tests.conftest import wait_for
+from tests.running_set import RunningSet
 
 PRETEND = str(Path(__file__).parents[1] / "pretend_worker.py")
 
 
-class Set:
-    """Router and controller as processes, and workers that pretend."""
+class Set(RunningSet):
+    """A set with workers that pretend."""
 
-    def __init__(self, settings: Settings) -> None:
-        self.settings = settings
-        self.router = start(settings, "-m", "luxloop", "serve", "router", "--quiet")
-        self.controller = start(settings, "-m", "luxloop", "serve", "controller", "--quiet")
-        self.workers: list[subprocess.Popen[bytes]] = []
-        wait_for(self._answers, "the controller")
-
-    def add(self, kind: str, nap_s: float = 0.0) -> subprocess.Popen[bytes]:
-        """One more worker."""
-        self.workers.append(start(self.settings, PRETEND, kind, str(nap_s)))
-        with Client(self.settings, local=False) as client:
-            count = len(self.workers)
-            wait_for(lambda: len(client.status(5.0).workers) >= count, f"{count} workers")
-        return self.workers[-1]
-
-    def close(self) -> None:
-        """End all of it."""
-        for process in [*self.workers, self.controller, self.router]:
-            stop(process)
-
-    def _answers(self) -> bool:
-        try:
-            Client(self.settings, local=False).close()
-        except RemoteError:
-            return False
-        return True
+    def add_pretender(self, kind: str, nap_s: float = 0.0) -> subprocess.Popen[bytes]:
+        """One more worker, once it has introduced itself."""
+        worker = self.add(PRETEND, kind, str(nap_s))
+        self.ready(len(self.workers))
+        return worker
 
 
 @pytest.fixture
 def running(settings: Settings) -> Iterator[Set]:
     """A set with one worker of each kind."""
     made = Set(settings)
-    made.add("film")
-    made.add("ray")
+    made.add_pretender("film")
+    made.add_pretender("ray")
     yield made
     made.close()
 
@@ -111,7 +91,7 @@ def test_a_campaign_leaves_a_journal_that_says_all(running: Set) -> None:
 def test_one_and_two_ray_workers_give_the_same_walk_and_the_same_weights(running: Set) -> None:
     """To the last bit, with naps of different length."""
     launched(running, "one", seed=4)
-    running.add("ray", 0.003)
+    running.add_pretender("ray", 0.003)
     launched(running, "two", seed=4)
     assert told(running, "one") == told(running, "two")
     assert any(row[4] for row in told(running, "one"))
@@ -137,7 +117,7 @@ def test_two_campaigns_at_once_end_as_they_would_alone(running: Set) -> None:
 def test_workers_and_router_that_are_killed_cost_no_step(running: Set) -> None:
     """kill -9 of a ray worker and of the router in the middle: the same walk as undisturbed."""
     launched(running, "calm", seed=7)
-    running.add("ray", 0.05)
+    running.add_pretender("ray", 0.05)
     ends: list[Launched] = []
     thread = threading.Thread(target=lambda: ends.append(launched(running, "storm", seed=7)))
     thread.start()
@@ -147,7 +127,7 @@ def test_workers_and_router_that_are_killed_cost_no_step(running: Set) -> None:
     wait_for(lambda: steps_in(journal) > 15, "more steps")
     running.router.send_signal(signal.SIGKILL)
     running.router.wait(10)
-    running.router = start(running.settings, "-m", "luxloop", "serve", "router", "--quiet")
+    running.router = running.start_router()
     thread.join(90.0)
     assert ends
     assert told(running, "storm") == told(running, "calm")

@@ -27,6 +27,7 @@ from luxloop.failure import Failure
 from luxloop.messages import Done, Heartbeat, Hello, Outcome, Pull, Receipt, Submit, Task
 from luxloop.settings import Settings
 from tests.conftest import processes_with, start, stop, wait_for
+from tests.running_set import RunningSet
 
 SLEEPY = str(Path(__file__).parents[1] / "sleepy_worker.py")
 
@@ -36,25 +37,12 @@ def task(what: str = "nothing", **inputs: float) -> Task:
     return Task(kind="sleepy", inputs={"what": what, **inputs}, version=__version__)
 
 
-class Set:
-    """Router, controller and sleepy workers as processes of this test, and a client of them."""
-
-    def __init__(self, settings: Settings) -> None:
-        self.settings = settings
-        self.router = start(settings, "-m", "luxloop", "serve", "router", "--quiet")
-        self.controller = start(settings, "-m", "luxloop", "serve", "controller", "--quiet")
-        self.workers: list[subprocess.Popen[bytes]] = []
-        wait_for(self._answers, "the controller")
-        self.client = Client(settings, local=False)
+class Set(RunningSet):
+    """A set with sleepy workers."""
 
     def add_worker(self) -> subprocess.Popen[bytes]:
         """One more worker process."""
-        self.workers.append(start(self.settings, SLEEPY))
-        return self.workers[-1]
-
-    def ready(self, count: int) -> None:
-        """Wait until so many workers have introduced themselves."""
-        wait_for(lambda: len(self.client.status(5.0).workers) == count, f"{count} workers")
+        return self.add(SLEEPY)
 
     def running(self) -> None:
         """Wait until a task is in a worker's hands."""
@@ -76,19 +64,6 @@ class Set:
         thread = threading.Thread(target=ask, daemon=True)
         thread.start()
         return thread, got
-
-    def close(self) -> None:
-        """End all of it."""
-        self.client.close()
-        for process in [*self.workers, self.controller, self.router]:
-            stop(process)
-
-    def _answers(self) -> bool:
-        try:
-            Client(self.settings, local=False).close()
-        except RemoteError:
-            return False
-        return True
 
 
 @pytest.fixture
