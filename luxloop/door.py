@@ -121,7 +121,7 @@ def _asked(
         except RemoteError as error:
             if error.failure.code not in AGAIN or error.failure.code == "refused" or (until and until.is_set()):
                 raise
-            lost_since_s = lost_since_s or asked_s
+            lost_since_s = asked_s if lost_since_s is None else lost_since_s
             on_lost(time.monotonic() - lost_since_s)
             if time.monotonic() - lost_since_s > patience_s:
                 raise

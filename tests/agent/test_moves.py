@@ -85,3 +85,21 @@ def test_a_start_that_cannot_be_is_refused(start: tuple[float, ...]) -> None:
     """Outside the bounds, or without room under the receiver: an InputError that names it."""
     with pytest.raises(InputError, match="start"):
         start_of(Space(BOUNDS), Design.from_vector(start))
+
+
+def test_the_designer_and_the_controller_move_alike() -> None:
+    """What `Space.moved` reckons with is what `Bounds.moved` gives, or outside of the box for both."""
+    bounds = BOUNDS
+    space, random = Space(bounds), np.random.default_rng(1)
+    for _ in range(300):
+        key = space.draw(random)
+        assert key is not None
+        move = moves_of("fast")[random.integers(40)]
+        there = bounds.moved(Design.from_vector(key), move.variable, move.steps)
+        reached = space.moved(key, move)
+        inside = all(
+            low <= x <= high
+            for low, x, high in zip(bounds.low.as_vector(), reached, bounds.high.as_vector(), strict=True)
+        )
+        assert (there is not None) == inside
+        assert there is None or key_of(there) == reached

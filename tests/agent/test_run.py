@@ -264,3 +264,47 @@ def test_a_results_folder_that_is_a_file_is_named(running: Set) -> None:
     running.settings.runs_dir.write_text("not a folder")
     with pytest.raises((InputError, RemoteError), match="runs"):
         launched(running, "one")
+
+
+@pytest.mark.parametrize(
+    ("argv", "said"),
+    [
+        (("grid", "--step", "0,0,0,0,0"), "--step: distance_um"),
+        (("grid", "--step", "nan,1,1,1,1"), "--step: distance_um"),
+        (("grid", "--step", "1e-3,1e-3,1e-3,1e-3,0.5"), "a grid of at most 10,000,000 designs"),
+        (("grid", "--step", "20,20"), "five numbers"),
+        (("designers", "compare", "--designers", "random,random"), "name each once"),
+        (("designers", "compare", "--designers", ""), "--designers"),
+        (("campaign", "run", "--runs", "/proc/version"), "--runs"),
+        (("run", "--runs", "/proc/version"), "--runs"),
+    ],
+)
+def test_bad_options_of_other_commands_are_named(argv: tuple[str, ...], said: str, settings: Settings) -> None:
+    """Exit code 2, before any process is started."""
+    shown = subprocess.run(
+        [sys.executable, "-m", "luxloop", *argv], env=as_environment(settings), capture_output=True, text=True,
+        timeout=60,
+    )  # fmt: skip
+    assert shown.returncode == 2, shown.stderr
+    assert said in shown.stderr
+
+
+def test_a_damaged_run_does_not_hide_the_others(running: Set) -> None:
+    """The list names it, and how to look at it."""
+    launched(running, "sound", evaluations=5)
+    launched(running, "spoilt", evaluations=5)
+    file = running.settings.runs_dir / "spoilt" / "audit-0001.mcap"
+    file.write_bytes(b"nothing of ours")
+    text = luxloop(running, "campaign", "list").stdout
+    assert "sound" in text
+    assert "audit verify" in next(row for row in text.splitlines() if row.startswith("spoilt"))
+
+
+def test_a_run_that_lies_elsewhere_is_told(running: Set, tmp_path: Path) -> None:
+    """The set keeps its own folder: where it is, and the next command with its path."""
+    elsewhere = {**as_environment(running.settings), "LUXLOOP_RUNS": str(tmp_path / "mine")}
+    argv = [sys.executable, "-m", "luxloop", "campaign", "run", "--id", "far", "--evaluations", "5", "--no-local"]
+    shown = subprocess.run(argv, env=elsewhere, capture_output=True, text=True, timeout=60)
+    folder = running.settings.runs_dir / "far"
+    assert f"keeps its runs elsewhere: {folder}" in shown.stderr
+    assert f"luxloop campaign report {folder}" in shown.stdout

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from containers.bsdf import GaussianLobe, Lambertian
+from containers.ray_tracing.arrays import ENDS
 from containers.ray_tracing.exits import Landing, make_exits
 from containers.ray_tracing.monte_carlo import MonteCarlo
 from containers.ray_tracing.tally import FIRST, LATER
@@ -53,6 +54,18 @@ def test_a_fan_changes_no_mean(name: str) -> None:
         for m, n in ((1, 0), (1, 1), (2, 0)):
             (x, e), (y, f) = mean_and_error(mode(alone, m, n)), mean_and_error(mode(fan, m, n))
             assert abs(x - y) < 4.0 * np.hypot(e, f)
+
+
+@pytest.mark.parametrize("fan", [1, 4])
+def test_the_receiver_takes_what_arrives_and_is_not_sent_back(fan: int) -> None:
+    """0.65 of all arrivals: to rounding where a ray records itself, within the errors where its fan does."""
+    tally = MonteCarlo(scene(), 8, fan=fan).run_to(8192)
+    taken, arrived = tally.ledger[:, ENDS.index("receiver")], tally.arrivals.sum(axis=1)
+    if fan == 1:
+        assert taken == pytest.approx(0.65 * arrived, rel=1e-12)
+    mean, error = mean_and_error(taken - 0.65 * arrived)
+    assert abs(mean) <= 4.0 * error + 1e-12 * taken.mean()
+    assert error < 0.01 * taken.mean()
 
 
 def test_one_ray_leaves_the_mean_of_its_fan() -> None:

@@ -180,3 +180,14 @@ def test_a_steps_last_value_is_met_only_where_it_fits() -> None:
     bounds = Bounds(low=low, high=high, step=Design.from_vector((0.1, 0.3, 1, 1, 0.5)))
     assert bounds.values("distance_um") == (1.0, 1.1, 1.2, 1.3, 1.4, 1.5, 1.6, 1.7, 1.8, 1.9, 2.0)
     assert bounds.values("width_um") == (1.0, 1.3, 1.6, 1.9)
+
+
+def test_a_move_stays_in_the_box_or_leads_nowhere() -> None:
+    """So many steps of one variable; pairs in halves; the faces belong to the box."""
+    bounds = Bounds.preset("paper-table3")
+    design = Design.from_vector((150.0, 30.0, 500.0, 20.0, 5.5))
+    assert bounds.moved(design, "distance_um", 3) == design.model_copy(update={"distance_um": 180.0})
+    assert bounds.moved(design, "distance_um", 4) is None
+    assert bounds.moved(design, "dbr_pairs", -2) == design.model_copy(update={"dbr_pairs": 4.5})
+    assert bounds.moved(design, "dbr_pairs", -3) is None
+    assert bounds.moved(design, "width_um", -10) == design.model_copy(update={"width_um": 10.0})

@@ -1,0 +1,122 @@
+"""A designer's door when the controller is away, comes back, or has forgotten the run."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from luxloop import door as doors
+from luxloop.bus.frame import Parcel
+from luxloop.campaign import Action, Begun, Ended, Step
+from luxloop.design import Design
+from luxloop.door import RunDoor
+from luxloop.errors import RemoteError
+from luxloop.failure import Failure
+from luxloop.messages import Nothing
+
+DESIGN = Design.from_vector((180.0, 28.0, 500.0, 35.0, 6.5))
+ACTION = Action(run="one", designer="d", lane=0, number=0, design=DESIGN)
+STEP = Step(
+    run="one", lane=0, number=0, design=DESIGN, state=(0.0, 0.0, 0.0, 0.0, 0.0), uniformity=0.5, reward=0.0
+)  # fmt: skip
+
+
+class Client:
+    """Answers in turn with what it is given: words, or the code of a failure; the last one for ever."""
+
+    def __init__(self, *answers: Any) -> None:
+        self.answers, self.rows = list(answers), list[str]()
+
+    def ask(self, row: str, *_: Any) -> Parcel:
+        self.rows.append(row)
+        answer = self.answers.pop(0) if len(self.answers) > 1 else self.answers[0]
+        if isinstance(answer, str):
+            raise RemoteError(Failure(code=answer, message=answer))  # type: ignore[arg-type]  # the tests give codes
+        return Parcel(answer)
+
+
+class Clock:
+    """A clock that sleeping moves."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.now_s = 0.0
+        monkeypatch.setattr(doors.time, "monotonic", lambda: self.now_s)
+        monkeypatch.setattr(doors.time, "sleep", self.sleep)
+
+    def sleep(self, s: float) -> None:
+        self.now_s += s
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    """Time passes only where somebody sleeps."""
+    return Clock(monkeypatch)
+
+
+def door(*answers: Any) -> tuple[RunDoor, Client]:
+    """A door on a run, and who answers there."""
+    client = Client(*answers)
+    return RunDoor(client, Begun(run="one", folder="/runs/one", segment=1), "d"), client  # type: ignore[arg-type]
+
+
+def test_a_question_is_asked_again_while_it_takes() -> None:
+    """Held too long, let go, asked again: the step."""
+    opened, client = door(Nothing(), Nothing(), STEP)
+    assert opened.act(ACTION) == STEP
+    assert client.rows == ["act"] * 3
+
+
+@pytest.mark.parametrize("code", ["no_router", "no_controller", "timed_out", "busy"])
+def test_who_is_away_for_a_moment_is_waited_for(code: str, clock: Clock) -> None:
+    """Told how long, and then the step is there."""
+    opened, _ = door(code, code, STEP)
+    lost: list[float] = []
+    opened.on_lost = lost.append
+    assert opened.act(ACTION) == STEP
+    assert lost == pytest.approx([0.0, 0.2])
+    assert clock.now_s == pytest.approx(0.4)
+
+
+def test_who_stays_away_is_given_up(clock: Clock) -> None:
+    """After a minute, with the reason."""
+    opened, _ = door("no_controller")
+    with pytest.raises(RemoteError, match="no_controller"):
+        opened.act(ACTION)
+    assert doors.LOST_S < clock.now_s < doors.LOST_S + 1.0
+
+
+def test_a_run_that_the_controller_has_forgotten_says_what_is_safe_and_where() -> None:
+    """It was restarted: the folder, and how to go on."""
+    opened, _ = door("not_found")
+    with pytest.raises(RemoteError) as caught:
+        opened.act(ACTION)
+    assert "/runs/one" in caught.value.failure.message
+    assert "another id" in caught.value.failure.mend
+
+
+@pytest.mark.parametrize("code", ["refused", "bad_input"])
+def test_what_is_refused_is_not_asked_again(code: str) -> None:
+    """At once."""
+    opened, client = door(code)
+    with pytest.raises(RemoteError):
+        opened.act(ACTION)
+    assert client.rows == ["act"]
+
+
+def test_left_by_an_error_nobody_is_waited_for(clock: Clock) -> None:
+    """The error comes through, not that of the end; the end was tried once."""
+    opened, client = door("no_controller")
+    with pytest.raises(ValueError, match="mine"), opened:
+        raise ValueError("mine")
+    assert client.rows[0] == "end"
+    assert clock.now_s < 1.0
+
+
+def test_left_quietly_the_run_is_ended_once() -> None:
+    """The root is kept for whoever asks."""
+    ended = Ended(run="one", records=3, root="0" * 64, folder="/runs/one")
+    opened, client = door(ended)
+    with opened:
+        assert opened.end("enough") == ended
+    assert client.rows == ["end"]
