@@ -30,6 +30,8 @@ from luxloop.errors import InputError
 from luxloop.film import Spectrum
 from luxloop.ray import Module, RayRequest
 
+TOLD_TRUNCATION = 0.003
+"""Of U: a bound on what the modes left out do to it that is worth a warning."""
 DIRECTION_BINS = (128, 64)
 """Of the far field: cosine of theta over the whole sphere, azimuth."""
 
@@ -57,7 +59,8 @@ def simulate(
 
     Notes
     -----
-    `warnings` of the document are of the scene's surfaces (`scene_warnings`).
+    `warnings` of the document are of the scene's surfaces (`scene_warnings`), and of modes that a near receiver
+    would need and that are left out.
 
     Arrays: `map_lx`, `map_error_lx` (y, x); `cut_x_um`, `cut_lx`, `cut_error_lx`; with `far_field` those of
     `outcome.far_fields`; `image_K`, `image_error_K` (row, column) in DN of camera K; with `exit_histories` the rays
@@ -88,7 +91,7 @@ def simulate_scene(
         found = solved(scene, solver.tally)
     result, arrays = outcome(found, request.environment, request.map_bins)
     result |= {name: getattr(request, name) for name in ("method", "seed", "stored_exits")}
-    result["warnings"] = list(warnings)
+    result["warnings"] = [*warnings, *_left_out(result["metrics"]["uniformity"])]
     if request.far_field:
         result["far_field"], more = far_fields(found, fold=scene.symmetric)
         result["far_field"]["eightfold"] = scene.symmetric
@@ -103,6 +106,18 @@ def simulate_scene(
         of_rays, more = _exits(request, scene, film, source, progress)
         result, arrays = result | of_rays, arrays | more
     return result, arrays
+
+
+def _left_out(uniformity: Document) -> list[str]:
+    """A warning where the modes left out may move the uniformity by more than its standard error and 0.3 points."""
+    truncation = uniformity["truncation"]
+    if truncation <= max(TOLD_TRUNCATION, uniformity["standard_error"]):
+        return []
+    points = POINTS * min(truncation, 1.0)
+    return [
+        f"the receiver is so near the chips that modes left out may move the uniformity by up to {points:.1f} points;"
+        " its standard error does not hold that: raise D - T, or take the number as a rough one"
+    ]
 
 
 def layout_of(request: Module) -> Cell | Array:

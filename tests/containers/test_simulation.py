@@ -437,3 +437,14 @@ def test_stopping_by_a_noisy_error_keeps_intervals_honest(harder: float) -> None
         blocks.append(solver.tally.histories / BLOCK)
     assert 0.92 <= held / 1000 <= 0.98
     assert 0.9 <= np.mean(blocks) / (FIRST_BLOCKS * harder**2) <= 1.3
+
+
+def test_a_receiver_too_near_for_the_modes_is_told() -> None:
+    """D 60, T 55, S 700: what is left out may be more than the uniformity; D 180 is far enough."""
+    near = {"distance_um": 60.0, "width_um": 100.0, "spacing_um": 700.0, "thickness_um": 55.0, "dbr_pairs": 0.0}
+    document, _ = traced(request(design=near, histories=8 * GROUPS * BLOCK))
+    assert document["metrics"]["uniformity"]["truncation"] > 0.1
+    (warning,) = document["warnings"]
+    assert "100.0 points" in warning
+    far, _ = traced(request(design=near | {"distance_um": 180.0}))
+    assert far["warnings"] == []
