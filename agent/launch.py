@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import signal
 import sys
-import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -28,7 +27,7 @@ from luxloop.endpoint import listening
 from luxloop.errors import InputError, LuxloopError
 from luxloop.model_file import find_model, to_toml
 from luxloop.process import usable_cores
-from luxloop.settings import Settings, usable_cache
+from luxloop.settings import Settings, usable_cache, usable_runs
 from luxloop.words import canonical, sha256_of
 
 SAY_LOST_S = 5.0
@@ -154,18 +153,6 @@ def refuse_taken_id(settings: Settings, name: str, local: bool) -> None:
         raise InputError(
             "--id", name, f"an id that {settings.runs_dir} does not hold", "take another, or leave it out"
         )
-
-
-def usable_runs(settings: Settings) -> None:
-    """InputError where our own controller could not write its runs: found out before anything is started."""
-    folder = settings.runs_dir
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            pass
-    except OSError as error:
-        mend = f"{error.strerror or error}: mend that, or name another one by --runs or LUXLOOP_RUNS"
-        raise InputError("--runs", str(folder), "a folder that can be made and written", mend) from error
 
 
 @contextmanager

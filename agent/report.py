@@ -104,11 +104,10 @@ def document_of(folder: Path) -> tuple[Document, Arrays]:
 
 
 def roles_of(finals: Sequence[Told]) -> Roles:
-    """What each final evaluation was for, as the runner said."""
+    """What each final evaluation was for, as the runner said; those that failed are none of `finals`."""
     of_role = {role: [told for told in finals if told.step.role == role] for role in get_args(Role)}
-    sound = {role: [told for told in own if told.step.failure is None] for role, own in of_role.items()}
-    finalists = sorted(sound["finalist"], key=_uniformity, reverse=True)
-    best, start, bare = (next(iter(sound[role]), None) for role in ("best", "start", "without_dbr"))
+    finalists = sorted(of_role["finalist"], key=_uniformity, reverse=True)
+    best, start, bare = (next(iter(of_role[role]), None) for role in ("best", "start", "without_dbr"))
     return Roles(finalists, best or next(iter(finalists), None), start, bare)
 
 
@@ -263,10 +262,6 @@ def _failure(told: Told) -> Document:
 
 def _uniformity(told: Told) -> float:
     return told.step.uniformity
-
-
-def _pairs(told: Told) -> float:
-    return told.step.design.dbr_pairs
 
 
 def _utc(time_ns: int) -> str:

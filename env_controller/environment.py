@@ -35,7 +35,7 @@ from luxloop.ray import Film
 NEIGHBOURS = (-0.5, 0.5, -1.0, 1.0)  # pairs: the films that a next step may need
 FILM_RETRIES = 2  # a table may have gone with who held it
 STORIES = 1000
-KNOWN = 200_000  # results of a run that are kept, some 1 kB each
+KNOWN = 100_000  # designs of a run whose figures are kept, 2 kB each
 
 
 class EnvironmentAgent:
@@ -199,10 +199,10 @@ class EnvironmentAgent:
             return self._ray(run, trial, run.films[trial.design.dbr_pairs][1], event.at_s)
         if event.failure is None and event.result is not None:
             trial.computed = True
-            run.results[event.task_id] = event.result
+            run.results[event.task_id] = figures_of(event.result["metrics"])
             while len(run.results) > KNOWN:
                 run.results.popitem(last=False)
-            return [self._evaluated(run, trial, event.result, event.at_s)]
+            return [self._evaluated(run, trial, run.results[event.task_id], event.at_s)]
         failure = event.failure or Failure(code="crashed", message="no result")
         lost_film = failure.code == "not_found" and failure.field == "film"
         if lost_film and trial.film_task is not None and trial.film_tries < FILM_RETRIES:
@@ -215,16 +215,15 @@ class EnvironmentAgent:
         self._tell(trial, event.at_s, f"failed: {failure.text()}")
         return [self._told(run, trial, event.at_s, uniformity=0.0, failure=failure)]
 
-    def _evaluated(self, run: Run, trial: Trial, result: dict[str, Any], at_s: float) -> a.Tell:
-        metrics = result["metrics"]
-        found = metrics["uniformity"]
+    def _evaluated(self, run: Run, trial: Trial, figures: dict[str, Any], at_s: float) -> a.Tell:
+        found = figures["uniformity"]
         return self._told(
             run,
             trial,
             at_s,
             uniformity=float(found["value"]),
             uniformity_error=float(found["standard_error"]),
-            figures=figures_of(metrics),
+            figures=figures,
             cached=not trial.computed,
         )
 

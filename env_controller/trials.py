@@ -47,7 +47,9 @@ class Run:
     plan: Plan
     lanes: dict[int, Lane] = field(default_factory=dict)
     films: dict[float, tuple[Task, Film]] = field(default_factory=dict)
-    results: OrderedDict[str, dict[str, Any]] = field(default_factory=OrderedDict)  # by ray task
+    results: OrderedDict[str, dict[str, Any]] = field(
+        default_factory=OrderedDict
+    )  # the figures of a step, by ray task
 
 
 def film_task(plan: Plan, pairs: float) -> Task:

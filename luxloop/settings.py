@@ -112,7 +112,15 @@ def usable_cache(settings: Settings) -> Path:
     Raises InputError naming LUXLOOP_CACHE, the folder and what is wrong with it. A command asks before it starts
     anything: found out by a worker, the same would end as "no worker came".
     """
-    folder = settings.cache_dir
+    return _usable(settings.cache_dir, "LUXLOOP_CACHE", "set LUXLOOP_CACHE to another folder")
+
+
+def usable_runs(settings: Settings) -> Path:
+    """The folder of runs, likewise: for who is about to start a controller of its own."""
+    return _usable(settings.runs_dir, "--runs", "name another folder by --runs or LUXLOOP_RUNS")
+
+
+def _usable(folder: Path, field: str, mend: str) -> Path:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder) as probe:
@@ -120,8 +128,8 @@ def usable_cache(settings: Settings) -> Path:
     except (OSError, ValueError) as error:  # ValueError: a name that no file can have
         in_the_way = isinstance(error, FileExistsError | NotADirectoryError)
         why = "a file is in the way" if in_the_way else getattr(error, "strerror", None) or str(error)
-        mend = f"{why}: mend that, or set LUXLOOP_CACHE to another folder"
-        raise InputError("LUXLOOP_CACHE", str(folder), "a folder that can be made and written", mend) from error
+        mend = f"{why}: mend that, or {mend}"
+        raise InputError(field, str(folder), "a folder that can be made and written", mend) from error
     return folder
 
 
