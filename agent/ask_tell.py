@@ -13,6 +13,8 @@ from __future__ import annotations
 import io
 import itertools
 import json
+import zipfile
+import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any, Protocol
@@ -71,7 +73,7 @@ class Checkpoint:
             with np.load(io.BytesIO(data), allow_pickle=False) as file:
                 arrays = {name: file[name] for name in file.files}
             return cls(json.loads(arrays.pop("words").tobytes()), arrays)
-        except (OSError, ValueError, KeyError) as error:
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
             raise InputError(
                 "checkpoint", f"{len(data)} bytes", "a designer's .npz checkpoint", str(error)
             ) from error
@@ -133,7 +135,7 @@ class Lanes:
 
     def state(self) -> dict[str, Any]:
         """The lanes as JSON values."""
-        return {"asked": self.asked, "awaited": [proposal and proposal.plain() for proposal in self.awaited]}
+        return {"asked": list(self.asked), "awaited": [proposal and proposal.plain() for proposal in self.awaited]}
 
     def restore(self, words: dict[str, Any]) -> None:
         """The lanes as they were."""

@@ -6,19 +6,26 @@ lane 0 is told, then of lane 1, and so on, while the other lanes' designs are un
 
 from __future__ import annotations
 
+import re
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
-from agent.ask_tell import Designer, Proposal
+from agent.ask_tell import Checkpoint, Designer, Proposal
 from agent.config import Stop
 from agent.in_words import plain
 from luxloop.campaign import Action, Role, Step
 from luxloop.design import Design
 from luxloop.words import sha256_of
 
+INTERRUPTED = "interrupted"
+WALK, FINALISTS = "walk", "finalists"
+NOTHING_TOLD = "0" * 64
+COUNTS = ("steps", "evaluations", "episodes", "physics_s", "learner_s", "epsilon", "gained_episode", "stage")
+STEPS = ("first", "best", "gained", "last")
+"""What a `Progress` is made of, clocks aside."""
 SIGMAS = 2.0  # a gain above so many of its standard errors counts; that designs share their seed is left out
 
 
@@ -42,6 +49,7 @@ class Progress:
     episodes: int = 0
     physics_s: float = 0.0
     learner_s: float = 0.0
+    before_s: float = 0.0  # of earlier starts
     began_s: float = field(default_factory=time.monotonic)
     first: Step | None = None
     best: Step | None = None
@@ -49,12 +57,26 @@ class Progress:
     last: Step | None = None
     epsilon: float | None = None
     gained_episode: int = 0
-    stage: str = "walk"
+    stage: str = WALK
 
     @property
     def wall_s(self) -> float:
-        """Since the first action."""
-        return time.monotonic() - self.began_s
+        """Of this start and those before it."""
+        return self.before_s + time.monotonic() - self.began_s
+
+    def plain(self) -> dict[str, Any]:
+        """As JSON values."""
+        steps = {name: getattr(self, name) for name in STEPS}
+        return {name: getattr(self, name) for name in COUNTS} | {
+            name: step and step.model_dump(mode="json") for name, step in steps.items()
+        }
+
+    @classmethod
+    def of_plain(cls, plain: dict[str, Any], before_s: float) -> Progress:
+        """What `plain` was made of, as from now on, after so many seconds of earlier starts."""
+        steps: dict[str, Any] = {name: plain[name] and Step.model_validate(plain[name]) for name in STEPS}
+        counts: dict[str, Any] = {name: plain[name] for name in COUNTS}
+        return cls(**counts, **steps, before_s=before_s)
 
 
 @dataclass(frozen=True)
@@ -88,8 +110,43 @@ class Found:
         }
 
 
+@dataclass(frozen=True)
+class Past:
+    """What is on record of a walk that goes on: its steps, how long it took, how it ended if it did."""
+
+    steps: int = 0
+    wall_s: float = 0.0
+    end: WalkEnd | None = None
+
+
+class WalkEnd(NamedTuple):
+    """After how many steps the walk was ended, and why: a limit of time is not met twice at the same step."""
+
+    steps: int
+    reason: str
+
+    @property
+    def line(self) -> str:
+        """As it stands in the journal's log."""
+        return f"the walk ended after {self.steps} steps: {self.reason}"
+
+    @classmethod
+    def among(cls, lines: Iterable[str]) -> WalkEnd | None:
+        """The end that a log tells of; None where the walk goes on."""
+        found = (re.fullmatch(r"the walk ended after (\d+) steps: (.*)", line) for line in lines)
+        return next((cls(int(one[1]), one[2]) for one in found if one), None)
+
+
+class Interrupted(Exception):  # noqa: N818  no error: somebody wants to go on later
+    """The campaign was stopped before its end; what was under way has been waited for."""
+
+
 class Runner:
-    """Runs one campaign through a door. `stop_wanted` is looked at between steps."""
+    """Runs one campaign through a door. `stop_wanted` is looked at between steps.
+
+    `past` is what the door knows already: walked again, those steps come back as they were. `on_turn` is called with
+    the runner where its `state` can be taken, `on_walk_end` when the walk has ended for good.
+    """
 
     def __init__(
         self,
@@ -101,67 +158,119 @@ class Runner:
         seed: int,
         look: Callable[[Progress], None] = lambda _: None,
         stop_wanted: Callable[[], bool] = lambda: False,
+        past: Past | None = None,
+        on_turn: Callable[[Runner], None] = lambda _: None,
+        on_walk_end: Callable[[WalkEnd], None] = lambda _: None,
     ) -> None:
-        self._door, self._designer, self._stop, self._look = door, designer, stop, look
+        self._door, self.designer, self._stop, self._look = door, designer, stop, look
         self._lanes, self._seed, self._stop_wanted = lanes, seed, stop_wanted
+        self._past, self._on_turn, self._on_walk_end = past or Past(), on_turn, on_walk_end
         self._numbers = [0] * lanes
-        self.progress = Progress()
+        self._turn, self._end = 0, WalkEnd(0, "")
+        self._under_way: dict[int, tuple[Proposal, Future[Step]]] = {}
+        self.digests = [NOTHING_TOLD] * lanes
+        """Of each lane's steps so far, in their order."""
+        self.progress = Progress(before_s=self._past.wall_s)
+
+    def state(self) -> Checkpoint:
+        """All that runner and designer are, between two turns."""
+        chooser = self.designer.state()
+        words = {
+            "turn": self._turn,
+            "numbers": list(self._numbers),
+            "told": [number - (lane in self._under_way) for lane, number in enumerate(self._numbers)],
+            "digests": list(self.digests),
+            "end": list(self._end),
+            "progress": self.progress.plain(),
+            "designer": chooser.words,
+        }
+        return Checkpoint(words, chooser.arrays)
+
+    def restore(self, checkpoint: Checkpoint) -> None:
+        """Become what `state` was taken from. Raises InputError where that was of another designer."""
+        words = checkpoint.words
+        self.designer.restore(Checkpoint(words["designer"], checkpoint.arrays))
+        self._turn, self._end = words["turn"], WalkEnd(*words["end"])
+        self._numbers, self.digests = list(words["numbers"]), list(words["digests"])
+        self.progress = Progress.of_plain(words["progress"], self._past.wall_s)
 
     def run(self, finalists: int, *, without_dbr: bool = True) -> Found:
         """Walk until a reason to stop, then evaluate the best designs anew; they are told nobody but the journal."""
         with ThreadPoolExecutor(self._lanes, thread_name_prefix="lane") as pool:
-            reason = self._walk(pool)
-            if self._stop_wanted():
-                return Found(reason, self.progress, (), None, None, None)
-            return self._finals(pool, reason, finalists, without_dbr)
+            try:
+                self._resend(pool)
+                self._walk(pool)
+                if self._past.end is None:
+                    self._on_walk_end(self._end)
+                return self._finals(pool, self._end.reason, finalists, without_dbr)
+            except Interrupted:
+                return Found(INTERRUPTED, self.progress, (), None, None, None)
 
-    def _walk(self, pool: ThreadPoolExecutor) -> str:
-        """Turn after turn; why it ended."""
-        self.progress.began_s = time.monotonic()
-        under_way: dict[int, tuple[Proposal, Future[Step]]] = {}
-        reason = ""
-        turn = 0
+    def _resend(self, pool: ThreadPoolExecutor) -> None:
+        """What was under way when the state was taken is asked for once more."""
+        for lane in range(self._lanes):
+            proposal = self.designer.awaited(lane)
+            if proposal is not None:
+                action = self._action(lane, proposal, self._numbers[lane] - 1)
+                self._under_way[lane] = proposal, pool.submit(self._door.act, action)
+
+    def _walk(self, pool: ThreadPoolExecutor) -> None:
+        """Turn after turn. Interrupted, what is under way is waited for and not told: `state` has it to be sent."""
         while True:
-            lane = turn % self._lanes
-            turn += 1
-            if lane in under_way:
-                proposal, future = under_way.pop(lane)
+            self._on_turn(self)
+            if self._stop_wanted():
+                for _, future in self._under_way.values():
+                    future.result()
+                raise Interrupted
+            lane = self._turn % self._lanes
+            self._turn += 1
+            if lane in self._under_way:
+                proposal, future = self._under_way[lane]
                 self._learn()
-                self._take(lane, proposal, future.result())
-                reason = reason or self._reason()
-            if not reason and self.progress.evaluations + len(under_way) < self._stop.evaluations:
+                step = future.result()
+                del self._under_way[lane]
+                self._take(lane, proposal, step)
+                if not self._end.reason:
+                    self._end = WalkEnd(self.progress.steps, self._reason())
+            if not self._end.reason and self.progress.evaluations + len(self._under_way) < self._stop.evaluations:
                 proposed = self._ask(lane)
                 if proposed is not None:
-                    under_way[lane] = proposed, pool.submit(self._door.act, self._action(lane, proposed))
-            if not under_way:
-                return reason or "complete: the designer has proposed all it had"
+                    action = self._action(lane, proposed, self._number(lane))
+                    self._under_way[lane] = proposed, pool.submit(self._door.act, action)
+            if not self._under_way:
+                if not self._end.reason:
+                    self._end = WalkEnd(self.progress.steps, "complete: the designer has proposed all it had")
+                return
 
     def _learn(self) -> None:
         """What the designer has to compute, while answers are awaited."""
         began_s = time.thread_time()
-        self._designer.learn()
+        self.designer.learn()
         self.progress.learner_s += time.thread_time() - began_s
 
     def _ask(self, lane: int) -> Proposal | None:
         began_s = time.thread_time()
-        proposal = self._designer.ask(lane)
+        proposal = self.designer.ask(lane)
         self.progress.learner_s += time.thread_time() - began_s
         return proposal
 
-    def _action(self, lane: int, proposal: Proposal) -> Action:
-        return self._numbered(lane, design=proposal.design, move=proposal.move, agent=proposal.record)
-
-    def _numbered(self, lane: int, **what: Any) -> Action:
+    def _number(self, lane: int) -> int:
+        """The next number of a lane's actions."""
         number, self._numbers[lane] = self._numbers[lane], self._numbers[lane] + 1
-        return Action(run=self._door.run, designer=self._door.designer, lane=lane, number=number, **what)
+        return number
+
+    def _action(self, lane: int, proposal: Proposal, number: int) -> Action:
+        how = {"design": proposal.design, "move": proposal.move, "agent": proposal.record}
+        return Action(run=self._door.run, designer=self._door.designer, lane=lane, number=number, **how)
 
     def _take(self, lane: int, proposal: Proposal, step: Step) -> None:
         began_s = time.thread_time()
-        self._designer.tell(lane, step)
+        self.designer.tell(lane, step)
+        self.digests[lane] = digest_after(self.digests[lane], step)
         seen = self.progress
         seen.learner_s += time.thread_time() - began_s
         seen.steps, seen.last, seen.epsilon = seen.steps + 1, step, proposal.record.epsilon
-        seen.evaluations, seen.physics_s = self._designer.known.evaluations, seen.physics_s + step.physics_s
+        seen.evaluations, seen.physics_s = self.designer.known.evaluations, seen.physics_s + step.physics_s
         seen.episodes = max(seen.episodes, proposal.record.episode + 1)
         if step.failure is None and step.feasible:
             seen.first = seen.first or step
@@ -172,15 +281,15 @@ class Runner:
         self._look(seen)
 
     def _reason(self) -> str:
-        """Why to stop now; empty to go on."""
+        """Why to stop now; empty to go on. What was decided before is decided again."""
         seen, stop = self.progress, self._stop
-        if self._stop_wanted():
-            return "interrupted"
+        if self._past.end is not None and seen.steps <= self._past.end.steps:
+            return self._past.end.reason if seen.steps == self._past.end.steps else ""
         if seen.evaluations >= stop.evaluations:
             return f"budget: {seen.evaluations} evaluations"
         if seen.steps >= stop.most_steps:
             return f"steps: {seen.steps}, of {seen.evaluations} designs"
-        if stop.time_s is not None and seen.wall_s >= stop.time_s:
+        if stop.time_s is not None and seen.wall_s >= stop.time_s and seen.steps > self._past.steps:
             return f"time: {seen.wall_s:.0f} s"
         quiet = seen.episodes - seen.gained_episode
         if stop.episodes_without_gain is not None and quiet >= stop.episodes_without_gain:
@@ -192,9 +301,9 @@ class Runner:
 
         All with seeds of their own at the final fidelity.
         """
-        self.progress.stage = "finalists"
+        self.progress.stage = FINALISTS
         self._look(self.progress)
-        known = self._designer.known
+        known = self.designer.known
         best = [key for key in known.best_first() if known.uniformity[key] > 0.0][:count]
         start = self.progress.first
         wanted: list[tuple[Role, Design]] = [("finalist", Design.from_vector(key)) for key in best]
@@ -214,10 +323,15 @@ class Runner:
         """The steps of some designs at the final fidelity, each with a seed of its own; several lanes at once."""
         steps: list[Step] = []
         for begin in range(0, len(wanted), self._lanes):
+            if self._stop_wanted():
+                raise Interrupted
             futures = []
             for lane, (role, design) in enumerate(wanted[begin : begin + self._lanes]):
                 seed = fresh_seed(self._seed, role, begin + lane)
-                action = self._numbered(lane, design=design, final=True, seed=seed, role=role)
+                action = Action(
+                    run=self._door.run, designer=self._door.designer, lane=lane, number=self._number(lane),
+                    design=design, final=True, seed=seed, role=role,
+                )  # fmt: skip
                 futures.append(pool.submit(self._door.act, action))
             for future in futures:
                 step = future.result()
@@ -226,6 +340,11 @@ class Runner:
                 self._look(self.progress)
                 steps.append(step)
         return steps
+
+
+def digest_after(digest: str, step: Step) -> str:
+    """The digest of a lane's steps that now ends with this one: of what is the same in any run of plan and seed."""
+    return sha256_of({"before": digest, "step": step.content()})
 
 
 def fresh_seed(seed: int, what: str, number: int) -> str:

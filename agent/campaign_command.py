@@ -86,7 +86,7 @@ def run(
         stop__episodes_without_gain=saturation,
     )  # fmt: skip
     launched = _launched(settings, campaign, model, run_id, no_local, as_json or quiet)
-    _tell(launched, as_json)
+    tell(launched, as_json)
 
 
 def quick_run(
@@ -104,7 +104,7 @@ def quick_run(
     launched = _launched(settings, campaign, model, None, False, as_json or quiet)
     folder = Path(launched.ended.folder)
     page = write_report(folder) if folder.is_dir() and not launched.interrupted else None
-    _tell(launched, as_json, page)
+    tell(launched, as_json, page)
 
 
 def grid(
@@ -132,7 +132,7 @@ def grid(
         final_error_points=final_error, lanes=lanes, stop__evaluations=10_000_000,
     )  # fmt: skip
     launched = _launched(settings, campaign, model, run_id, no_local, as_json or quiet, kind="grid")
-    _tell(launched, as_json)
+    tell(launched, as_json)
 
 
 def list_(runs: Runs = None, as_json: Json = False) -> None:
@@ -159,21 +159,50 @@ def _row(overview: Callable[[Path], dict[str, Any]], folder: Path) -> dict[str, 
 
 
 def status(
-    run: Annotated[str, typer.Argument(help="Id of a run.")], runs: Runs = None, as_json: Json = False
+    run: Annotated[str | None, typer.Argument(help="Id of a run.", show_default=False)] = None,
+    follow: Annotated[bool, typer.Option("--follow", help="Go on telling each new step until the run ends.")] = False,
+    source: Annotated[
+        str | None, typer.Option("--from", help="With --follow: replay/RUN, a replay on the bus, not a journal.")
+    ] = None,
+    runs: Runs = None,
+    router: Router = None,
+    as_json: Json = False,
+    quiet: Quiet = False,
 ) -> None:
     """How far a run is, or what came of it: read from its journal, also while it is being written."""
     from agent.overview import overview
 
-    row = overview(folder_of(load_settings(runs=runs), run))
+    settings = load_settings(runs=runs, router=router)
+    if source is not None and (run is not None or not follow):
+        raise InputError("--from", source, "only with --follow, and without a RUN", "it names the run")
+    if follow:
+        _follow(settings, run, source, as_json, sys.stdout.isatty() and not (as_json or quiet))
+        return
+    row = overview(folder_of(settings, _named(run)))
     if as_json:
         typer.echo(json.dumps(row))
         return
     for name, value in row.items():
-        if not isinstance(value, dict | list):
+        if value != "" and not isinstance(value, dict | list):
             typer.echo(f"{name:12} {value}")
     for name in ("start", "best"):
         if row.get(name):
             typer.echo(f"{name:12} {line(row[name])}")
+
+
+def _follow(settings: Settings, run: str | None, source: str | None, as_json: bool, show: bool) -> None:
+    from agent import follow
+
+    if source is None:
+        follow.follow_run(folder_of(settings, _named(run)), as_json=as_json, show=show)
+    else:
+        follow.follow_replay(settings, source, as_json=as_json, show=show)
+
+
+def _named(run: str | None) -> str:
+    if run is None:
+        raise InputError("RUN", run, "the id of a run", "luxloop campaign list")
+    return run
 
 
 def folder_of(settings: Settings, run: str) -> Path:
@@ -228,7 +257,7 @@ def _launched(
     return launch(settings, campaign, model, run, kind=kind, local=not no_local, show=show)
 
 
-def _tell(launched: Launched, as_json: bool, page: Path | None = None) -> None:
+def tell(launched: Launched, as_json: bool, page: Path | None = None) -> None:
     """What was found; exit code 130 where it was interrupted."""
     document = launched.document() | ({"report": str(page)} if page else {})
     if as_json:
@@ -236,6 +265,7 @@ def _tell(launched: Launched, as_json: bool, page: Path | None = None) -> None:
     else:
         typer.echo("\n".join(as_text(document)))
     if launched.interrupted:
+        sys.stderr.write(f"interrupted; to go on: luxloop campaign resume {launched.run}\n")
         raise typer.Exit(INTERRUPTED)
 
 

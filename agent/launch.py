@@ -14,13 +14,14 @@ from importlib.metadata import distributions
 from pathlib import Path
 from typing import Any, Literal
 
-from agent.campaign import Found, Runner
+from agent.campaign import INTERRUPTED, WALK, Found, Past, Progress, Runner
+from agent.checkpoints import Checkpoints
 from agent.config import Campaign
 from agent.designers import designer
 from agent.live import live
 from agent.moves import Space
 from luxloop import __version__
-from luxloop.campaign import Ended
+from luxloop.campaign import Ended, Plan, Step
 from luxloop.client import Client
 from luxloop.door import LOST_S, RunDoor
 from luxloop.endpoint import listening
@@ -81,36 +82,75 @@ def launch(
         "campaign.json": canonical(campaign).decode(),
         "packages.txt": packages(),
     }
-    facts = {
-        "argv": sys.argv[1:],
-        "version": __version__,
-        "model_sha256": chosen.sha256,
-        "campaign_sha256": sha256_of(campaign),
-        "seed": str(campaign.seed),
-        "designer": campaign.designer,
-    }
-    space = Space.of(plan)
-    chooser = designer(
-        campaign.designer, space, seed=campaign.seed, lanes=campaign.lanes, start=campaign.start,
-        learning=campaign.learner,
-    )  # fmt: skip
-    with (
-        interruptible() as interrupted,
-        Client(settings, local=local, patience_s=PATIENCE_S, ray_workers=ray_workers(campaign.lanes)) as client,
-        RunDoor.begin(client, plan, facts, attachments) as door,
-        live(show, name, campaign.stop.evaluations, client) as look,
-    ):
-        door.on_lost = lost(show)
-        if Path(door.begun.folder) != (settings.runs_dir / name).resolve():
-            warn(f"the set at {client.settings.router} keeps its runs elsewhere: {door.begun.folder}")
-        runner = Runner(
-            door, chooser, campaign.stop, lanes=campaign.lanes, seed=campaign.seed, look=look,
-            stop_wanted=interrupted.is_set,
+    return Start(settings, campaign, plan, attachments, chosen.sha256, local=local, show=show).go()
+
+
+@dataclass(frozen=True)
+class Start:
+    """One start of a run's designer, the first or a later one: `on_record` is what the journal held before it."""
+
+    settings: Settings
+    campaign: Campaign
+    plan: Plan
+    attachments: dict[str, str]
+    model_sha256: str
+    on_record: tuple[Step, ...] = ()
+    past: Past | None = None
+    local: bool = True
+    show: bool = False
+
+    def go(self) -> Launched:
+        """Walk to the end, evaluate the finalists, finish the journal."""
+        campaign, plan = self.campaign, self.plan
+        workers = ray_workers(campaign.lanes)
+        with (
+            interruptible() as interrupted,
+            Client(self.settings, local=self.local, patience_s=PATIENCE_S, ray_workers=workers) as client,
+            RunDoor.begin(client, plan, self._facts(), self.attachments, resume=self.past is not None) as door,
+            live(self.show, plan.run, campaign.stop.evaluations, client) as look,
+        ):
+            door.on_lost = lost(self.show)
+            checkpoints = self._checkpoints(door)
+            runner = checkpoints.restored(lambda: self._runner(door, checkpoints, look, interrupted), self.on_record)
+            found = runner.run(campaign.finalists, without_dbr=plan.kind == "campaign")
+            if found.reason != INTERRUPTED:
+                door.note(result=found.summary())
+            elif runner.progress.stage == WALK:
+                checkpoints.save(runner)
+            walk = tuple(runner.designer.known.uniformity.values())
+            return Launched(plan.run, found, door.end(found.reason), found.reason == INTERRUPTED, walk)
+
+    def _facts(self) -> dict[str, Any]:
+        return {
+            "argv": sys.argv[1:],
+            "version": __version__,
+            "model_sha256": self.model_sha256,
+            "campaign_sha256": sha256_of(self.campaign),
+            "seed": str(self.campaign.seed),
+            "designer": self.campaign.designer,
+        }
+
+    def _checkpoints(self, door: RunDoor) -> Checkpoints:
+        """Beside the journal, where that is within reach."""
+        folder = Path(door.begun.folder)
+        if folder != (self.settings.runs_dir / self.plan.run).resolve():
+            warn(f"the set at {self.settings.router} keeps its runs elsewhere: {folder}")
+        return Checkpoints(folder if folder.is_dir() else None, self.plan, warn)
+
+    def _runner(
+        self, door: RunDoor, checkpoints: Checkpoints, look: Callable[[Progress], None], interrupted: threading.Event
+    ) -> Runner:
+        """A fresh designer, and what drives it."""
+        campaign = self.campaign
+        chooser = designer(
+            campaign.designer, Space.of(self.plan), seed=campaign.seed, lanes=campaign.lanes, start=campaign.start,
+            learning=campaign.learner,
         )  # fmt: skip
-        found = runner.run(campaign.finalists, without_dbr=kind == "campaign")
-        door.note(result=found.summary())
-        walk = tuple(chooser.known.uniformity.values())
-        return Launched(name, found, door.end(found.reason), interrupted.is_set(), walk)
+        return Runner(
+            door, chooser, campaign.stop, lanes=campaign.lanes, seed=campaign.seed, look=look,
+            stop_wanted=interrupted.is_set, past=self.past, on_turn=checkpoints.on_turn,
+            on_walk_end=lambda end: door.note(log=end.line),
+        )  # fmt: skip
 
 
 @contextmanager

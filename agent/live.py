@@ -21,8 +21,11 @@ ASK_S = 2.0  # how often the controller is asked for its workers
 
 
 @contextmanager
-def live(show: bool, title: str, evaluations: int, client: Client) -> Iterator[Callable[[Progress], None]]:
-    """A function that is given the progress after each step; it draws where `show`."""
+def live(show: bool, title: str, evaluations: int, client: Client | None) -> Iterator[Callable[[Progress], None]]:
+    """A function that is given the progress after each step; it draws where `show`.
+
+    Without a client nothing is told of workers; where the planned `evaluations` are not known (0), no time left.
+    """
     if not show:
         yield lambda _: None
         return
@@ -40,9 +43,9 @@ def live(show: bool, title: str, evaluations: int, client: Client) -> Iterator[C
 
 
 class View:
-    """The table; it asks the controller for its workers now and then."""
+    """The table; it asks the controller, where there is one, for its workers now and then."""
 
-    def __init__(self, title: str, evaluations: int, client: Client) -> None:
+    def __init__(self, title: str, evaluations: int, client: Client | None) -> None:
         self._title, self._evaluations, self._client = title, evaluations, client
         self._drawn_s, self._asked_s, self._workers = 0.0, 0.0, "?"
 
@@ -61,24 +64,28 @@ class View:
 
         table = Table.grid(padding=(0, 2))
         rate = seen.steps / seen.wall_s if seen.wall_s > 0.0 else 0.0
-        left = self._evaluations - seen.evaluations
+        left = max(self._evaluations - seen.evaluations, 0)
         per_evaluation_s = seen.wall_s / seen.evaluations if seen.evaluations else 0.0
-        table.add_row(self._title, ProgressBar(self._evaluations, min(seen.evaluations, self._evaluations), width=40))
+        planned = self._evaluations or seen.evaluations
+        table.add_row(self._title, ProgressBar(planned, min(seen.evaluations, planned), width=40))
         table.add_row("stage", seen.stage)
-        table.add_row("evaluations", f"{seen.evaluations} of {self._evaluations}, {seen.episodes} episodes")
+        of = f" of {self._evaluations}" if self._evaluations else ""
+        table.add_row("evaluations", f"{seen.evaluations}{of}, {seen.episodes} episodes")
         table.add_row("now", line(plain(seen.last)))
         table.add_row("best of the walk", line(plain(seen.best)))
         if seen.epsilon is not None:
             table.add_row("random moves", f"{100.0 * seen.epsilon:.0f} %")
-        table.add_row("workers", self._busy())
-        table.add_row("pace", f"{rate:.1f} steps/s, about {max(left, 0) * per_evaluation_s:.0f} s left")
+        if self._client is not None:
+            table.add_row("workers", self._busy(self._client))
+        time_left = f", about {left * per_evaluation_s:.0f} s left" if self._evaluations else ""
+        table.add_row("pace", f"{rate:.1f} steps/s{time_left}")
         return table
 
-    def _busy(self) -> str:
+    def _busy(self, client: Client) -> str:
         if time.monotonic() - self._asked_s > ASK_S:
             self._asked_s = time.monotonic()
             try:
-                workers = self._client.status().workers
+                workers = client.status().workers
                 kinds = sorted({worker.describe.kind for worker in workers})
                 of_kind = {kind: [one for one in workers if one.describe.kind == kind] for kind in kinds}
                 self._workers = ", ".join(

@@ -1,12 +1,16 @@
-"""What a run came to so far, from its journal alone."""
+"""What a run came to so far, and how it stands, from its journal alone."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Any
 
+from agent.campaign import INTERRUPTED
 from agent.in_words import plain
+from agent.recorded import ENDED
 from luxloop.journal.reader import RunJournal
+
+RUNNING, OVER, STOPPED, KILLED = "running", "ended", "interrupted", "killed"
 
 
 def overview(folder: Path) -> dict[str, Any]:
@@ -21,12 +25,16 @@ def overview(folder: Path) -> dict[str, Any]:
     best = max((step for step in finals if step.role == "finalist"), key=lambda step: step.uniformity, default=best)
     best = next((step for step in finals if step.role == "best"), best)
     start = next((step for step in finals if step.role == "start"), next(iter(walk), None))
+    state, reason = state_of(journal)
     return {
         "run": facts.get("run", folder.name),
         "kind": facts.get("kind", ""),
         "model": facts.get("model", ""),
-        "running": journal.being_written,
-        "finished": all(segment.index is not None for segment in journal.segments),
+        "state": state,
+        "reason": reason,
+        "mend": f"luxloop campaign resume {folder.name}" if state in (STOPPED, KILLED) else "",
+        "running": state == RUNNING,
+        "finished": journal.segments[-1].index is not None,
         "steps": len(steps),
         "evaluations": len({tuple(step.design.as_vector()) for step in walk}),
         "failed": sum(step.failure is not None for step in steps),
@@ -34,3 +42,20 @@ def overview(folder: Path) -> dict[str, Any]:
         "start": plain(start),
         "best": plain(best),
     }
+
+
+def state_of(journal: RunJournal) -> tuple[str, str]:
+    """Whether a run is running, has ended, was interrupted, or was killed; and the reason on record.
+
+    Killed: its last segment has no end, and nobody writes it. Interrupted: it was closed before the designer had put
+    its result on record.
+    """
+    if journal.being_written:
+        return RUNNING, ""
+    lines = [entry.value.message for entry in journal.segments[-1].last("/log", 1)]
+    if not lines or not lines[0].startswith(ENDED):
+        return KILLED, "its journal has no end, and nobody writes it"
+    reason = lines[0].removeprefix(ENDED)
+    by_a_campaign = "campaign.json" in journal.attachments()
+    unfinished = by_a_campaign and not journal.last("/note", 1)
+    return (STOPPED if reason == INTERRUPTED or unfinished else OVER), reason

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from env_controller.events import Command, Event
+from env_controller.trials import Past
 from luxloop.campaign import Action, Plan, Step
 from luxloop.failure import Failure
 from luxloop.messages import Task
@@ -13,9 +14,10 @@ from luxloop.messages import Task
 
 @dataclass(frozen=True)
 class Opened(Event):
-    """A run begins."""
+    """A run begins, or goes on after what is on record."""
 
     plan: Plan
+    past: Past = Past()
 
 
 @dataclass(frozen=True)
@@ -66,6 +68,13 @@ class Record(Command):
 
     run: str
     task_id: str
+
+
+@dataclass(frozen=True)
+class Again(Command):
+    """Tell the designer a step that is on record."""
+
+    step: Step
 
 
 @dataclass(frozen=True)

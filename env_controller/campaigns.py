@@ -18,10 +18,12 @@ from env_controller import actions as a
 from env_controller.audit.machine import machine
 from env_controller.environment import EnvironmentAgent
 from env_controller.events import Command
+from env_controller.past import read_back
+from env_controller.trials import Past
 from luxloop.bus import Asked
 from luxloop.bus.frame import Array, decode, encode
 from luxloop.bus.keys import HOLD_S
-from luxloop.campaign import Action, Begin, Begun, Cut, End, Ended, Note, Step
+from luxloop.campaign import Action, Begin, Begun, Cut, End, Ended, Note, Plan, Step
 from luxloop.errors import LuxloopError, RemoteError
 from luxloop.failure import Failure
 from luxloop.journal.journal import Journal
@@ -69,6 +71,7 @@ class OpenRun:
     heard_s: float
     lanes: dict[int, LaneDoor] = field(default_factory=dict)
     sequence: int = 0
+    on_record: int = 0  # steps that its journal held when it was opened
     best: list[float] = field(default_factory=list)  # heap of a grid's best uniformities
     error: LuxloopError | None = None
 
@@ -76,10 +79,21 @@ class OpenRun:
 class Campaigns:
     """All runs of a controller. `want` and `unwant` submit and withdraw tasks; `ended` is told what came of them."""
 
-    def __init__(self, folder: Path, want: Callable[[a.Want], None], unwant: Callable[[str], None]) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        want: Callable[[a.Want], None],
+        unwant: Callable[[str], None],
+        *,
+        lives: Callable[[str], bool] = lambda _: True,
+        later: Callable[[Asked], object] = lambda _: None,
+    ) -> None:
+        """`lives` says whether a designer does; `later` puts a question to the dispatcher once more."""
         self.agent = EnvironmentAgent()
-        self._folder, self._want, self._unwant = folder, want, unwant
+        self._folder, self._want, self._unwant, self._lives, self._later = folder, want, unwant, lives, later
         self._runs: dict[str, OpenRun] = {}
+        self._reading: dict[str, list[Asked]] = {}  # who waits for a journal to be read
+        self._pasts: dict[str, Past | LuxloopError] = {}
         self._finished: dict[str, tuple[str, Ended]] = {}
         self._lock = threading.Lock()
 
@@ -89,20 +103,68 @@ class Campaigns:
         return tuple(self._runs)
 
     def begin(self, asked: Asked, begin: Begin) -> None:
-        """Open a run's journal. A run that exists is not opened again, but the same begin may be asked twice."""
-        name, now_s = begin.plan.run, time.monotonic()
-        folder = self._folder / name
+        """Open a run's journal, or go on with it. The same begin may be asked twice; a run has one designer."""
+        name = begin.plan.run
         run = self._runs.get(name)
+        if run is not None and not begin.same_run(run.begin):
+            if not begin.resume or self._lives(run.begin.designer):
+                owner = f"the run {name!r} is in use by the designer {run.begin.designer} (process id and a number)"
+                raise _refused(owner, f"end that one first, or take another id")
+            self._close(name, f"its designer {run.begin.designer} has gone", lost=True)
+            run = None
         if run is None:
-            if folder.exists():
-                raise _refused(f"the run {name!r} exists in {self._folder}", "take another id, or move that folder")
-            facts, attachments = opening(begin)
-            journal = Journal(folder, {"run": facts, "environment": machine()}, attachments)
-            run = self._runs[name] = OpenRun(begin, journal, now_s)
-            self.agent.handle(a.Opened(now_s, begin.plan))
-        elif run.begin != begin:
-            raise _refused(f"the run {name!r} is in use by {run.begin.designer}", "take another id")
-        asked.reply(Begun(run=name, folder=str(folder.resolve()), segment=run.journal.number))
+            past = self._past(asked, begin) if begin.resume else self._new(begin)
+            if past is None:
+                return
+            run = self._opened(begin, past)
+        folder = str((self._folder / name).resolve())
+        asked.reply(Begun(run=name, folder=folder, segment=run.journal.number, steps=run.on_record))
+
+    def _new(self, begin: Begin) -> Past:
+        """No past; raises RemoteError where the run exists."""
+        name = begin.plan.run
+        if (self._folder / name).exists():
+            mend = f"take another id, or go on with it: luxloop campaign resume {name}"
+            raise _refused(f"the run {name!r} exists in {self._folder}", mend)
+        return Past()
+
+    def _past(self, asked: Asked, begin: Begin) -> Past | None:
+        """What the run's journal holds; None while that is being read: the question is then put once more."""
+        name = begin.plan.run
+        with self._lock:
+            if name not in self._pasts:
+                askers = self._reading.setdefault(name, [])
+                askers.append(asked)
+                if len(askers) == 1:
+                    threading.Thread(target=self._read, args=(begin.plan,), name="past", daemon=True).start()
+                return None
+            past = self._pasts.pop(name)
+        if isinstance(past, LuxloopError):
+            raise past
+        return past
+
+    def _read(self, plan: Plan) -> None:
+        """Read a journal in a thread of its own, seconds for a long one; then all who asked ask again."""
+        found: Past | LuxloopError
+        try:
+            found = read_back(self._folder / plan.run, plan)
+        except LuxloopError as error:
+            found = error
+        with self._lock:
+            self._pasts[plan.run] = found
+            askers = self._reading.pop(plan.run)
+        for asked in askers:
+            self._later(asked)
+
+    def _opened(self, begin: Begin, past: Past) -> OpenRun:
+        name, now_s = begin.plan.run, time.monotonic()
+        facts, attachments = opening(begin)
+        journal = Journal(self._folder / name, {"run": facts, "environment": machine()}, attachments)
+        best = heapq.nlargest(BEST_MAPS, (step.uniformity for step in past.steps.values()))[::-1]
+        run = OpenRun(begin, journal, now_s, sequence=past.sequence, on_record=len(past.steps), best=best)
+        self._runs[name] = run
+        self.agent.handle(a.Opened(now_s, begin.plan, past))
+        return run
 
     def act(self, asked: Asked, action: Action) -> None:
         """Carry out an action, or say again what came of it; the question is held until that is known."""
@@ -191,6 +253,9 @@ class Campaigns:
                     self._want(command)
                 case a.Unwant():
                     self._unwant(command.task_id)
+                case a.Again():
+                    with self._lock:
+                        self._answer(self._runs[command.step.run].lanes[command.step.lane], None, command.step)
                 case a.Record() if result is not None:
                     run = self._runs[command.run]
                     records.setdefault(command.run, []).extend(_of_task(result, run.sequence))

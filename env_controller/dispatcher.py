@@ -77,7 +77,9 @@ class Dispatcher:
         self._delivery: bytes = b""  # the frame that is being handled
         self._failure: Failure | None = None  # what the last failed attempt said
         self._poll_count = 0
-        self._campaigns = Campaigns(settings.runs_dir, self._want, self._unwant)
+        self._campaigns = Campaigns(
+            settings.runs_dir, self._want, self._unwant, lives=self._lives, later=self._inbox.offer
+        )
         self._ended: deque[tuple[m.Task, bytes]] = deque()  # what runs wanted, not yet told to them
         self._started_s = time.monotonic()
 
@@ -116,6 +118,7 @@ class Dispatcher:
             return
         try:
             parcel = _expected(event)
+            self._refuse_another_kind(event.key, parcel.message)
             if isinstance(event, Heard):
                 self._hear(parcel.message)
             else:
@@ -131,14 +134,24 @@ class Dispatcher:
 
     def _notice(self, presence: Presence) -> None:
         """A worker's token vanished; or another controller's appeared: the one that began later goes on."""
-        name = last_part(presence.key)
+        name, kind = last_part(presence.key), presence.key.split("/")[-2]
         if "/alive/controller/" in presence.key:
             if presence.alive and name > self.epoch:
                 raise _taken_over(name)
-        elif not presence.alive:
+        elif not presence.alive and self._roster.kind_of(name) in (None, kind):
             self._roster.strike(name)
             blame = self._bus.connected()
             self._perform(self.core.handle(e.Left(time.monotonic(), name, blame=blame)))
+
+    def _refuse_another_kind(self, key: str, message: Words) -> None:
+        """Raises InputError where a message speaks for a worker of another kind than its key's.
+
+        The router lets a role use the keys of its own kind only; a name inside a message is not seen there.
+        """
+        worker = message.describe.worker if isinstance(message, m.Hello) else getattr(message, "worker", None)
+        kind = self._roster.kind_of(worker) if worker is not None else None
+        if kind is not None and kind != key.split("/")[3]:
+            raise InputError("worker", worker, f"a worker of the kind {key.split('/')[3]!r}, as its key says")
 
     def _answer(self, asked: Asked, parcel: Parcel) -> None:
         match message := parcel.message:
@@ -208,6 +221,10 @@ class Dispatcher:
             wanted.by_runs = False
             if not wanted.waiting:
                 self._perform(self.core.handle(e.Withdrawn(time.monotonic(), task_id)))
+
+    def _lives(self, designer: str) -> bool:
+        """Whether a designer's process is there."""
+        return bool(self._bus.present(at(self._settings.realm, "alive", role="designer", name=designer)))
 
     def _tell_runs(self) -> None:
         """Tell the runs what came of the tasks they wanted, which may make them want more."""
@@ -398,7 +415,8 @@ def _expected(event: Asked | Heard) -> Parcel:
     if row is None or not isinstance(message, row.message):
         wanted = row.message.__name__ if row else "no message"
         raise InputError("message", type(message).__name__, f"{wanted} on the key {event.key}")
-    kind = message.task.kind if isinstance(message, m.Submit) else getattr(message, "kind", None)
+    teller = message.task if isinstance(message, m.Submit) else getattr(message, "describe", message)
+    kind = getattr(teller, "kind", None)
     if kind is not None and event.key.split("/")[3] != kind:
         raise InputError("kind", kind, f"{event.key.split('/')[3]}, as its key says")
     return parcel

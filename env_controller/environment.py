@@ -62,7 +62,7 @@ class EnvironmentAgent:
         return list(self._stories.get((run, lane, number), []))
 
     def _opened(self, event: a.Opened) -> list[Command]:
-        self.runs[event.plan.run] = Run(event.plan)
+        self.runs[event.plan.run] = Run(event.plan, event.past)
         return []
 
     def _closed(self, event: a.Closed) -> list[Command]:
@@ -85,6 +85,9 @@ class EnvironmentAgent:
         run = self._run(action.run)
         lane = self._lane(run, action)
         design = self._aim(run.plan, lane, action)
+        on_record = run.past.steps.get((action.lane, action.number))
+        if on_record is not None:
+            return [self._again(lane, action, design, on_record)]
         if design is None:
             return self._blocked(event, run, lane)
         lane.number, lane.busy = action.number, True
@@ -95,6 +98,16 @@ class EnvironmentAgent:
             return [self._told(run, trial, event.at_s, uniformity=0.0, feasible=False, reason=reason)]
         return self._film_first(run, trial, event.at_s)
 
+    @staticmethod
+    def _again(lane: Lane, action: Action, design: Design | None, step: Step) -> a.Again:
+        """The step on record, where it is of the same design: a designer that walks otherwise is another one."""
+        asked = (design or lane.design, action.final, action.role)
+        if asked != (step.design, step.final, step.role):
+            mend = "its settings, its checkpoint or its code are not those of the run: begin a new one"
+            raise InputError("design", str(asked[0]), f"{step.design}, as on record", mend)
+        lane.follow(step)
+        return a.Again(step)
+
     def _run(self, name: str) -> Run:
         if name not in self.runs:
             raise InputError("run", name, "a run that is open here", "begin it first")
@@ -103,7 +116,7 @@ class EnvironmentAgent:
     def _lane(self, run: Run, action: Action) -> Lane:
         if action.lane >= run.plan.lanes:
             raise InputError("lane", action.lane, f"0 to {run.plan.lanes - 1}, as planned")
-        lane = run.lanes.setdefault(action.lane, Lane())
+        lane = run.lane(action.lane, action.number)
         if lane.busy or action.number != lane.number + 1:
             allowed = f"{lane.number + 1} once {lane.number} is answered" if lane.busy else str(lane.number + 1)
             raise InputError("number", action.number, allowed, "a lane's actions are numbered from 0, one at a time")
@@ -231,15 +244,10 @@ class EnvironmentAgent:
         """The step of an action, and the lane where it leads; a finalist leaves its lane where it was."""
         action = trial.action
         lane = run.lanes[action.lane]
-        lane.busy = False
         failed = found.get("failure") is not None
         uniformity = found["uniformity"]
-        worth = 0.0 if failed or action.final else reward_of(run.plan.reward, uniformity, lane.uniformity)
-        if action.move is None:  # a beginning: nothing was gained
-            worth = 0.0 if failed or action.final else reward_of(run.plan.reward, uniformity, None)
-        if not action.final:
-            lane.design, lane.uniformity = trial.design, None if failed else uniformity
-            lane.uniformity_error, lane.figures = found.get("uniformity_error", 0.0), found.get("figures", {})
+        before = None if action.move is None else lane.uniformity  # a beginning: nothing was gained
+        worth = 0.0 if failed or action.final else reward_of(run.plan.reward, uniformity, before)
         self._tell(trial, at_s, f"uniformity {uniformity:.4f}, reward {worth:.4f}")
         x = np.clip(run.plan.bounds.normalise(trial.design), -1.0, 1.0)
         step = Step(
@@ -257,6 +265,7 @@ class EnvironmentAgent:
             controller_s=max(at_s - trial.since_s, 0.0),
             **found,
         )
+        lane.follow(step)
         return a.Tell(step)
 
     def _tell(self, trial: Trial, at_s: float, what: str) -> None:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections import OrderedDict
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
-from luxloop.campaign import Action, Plan
+from luxloop.campaign import Action, Plan, Step
 from luxloop.design import Design
 from luxloop.film import FilmTableRequest, Spectrum
 from luxloop.messages import Task
@@ -24,6 +25,13 @@ class Lane:
     number: int = -1
     busy: bool = False
 
+    def follow(self, step: Step) -> None:
+        """Go where a step leads; a final one leaves the lane where it was, a failed one nowhere to be compared with."""
+        self.number, self.busy = step.number, False
+        if not step.final:
+            self.design, self.uniformity = step.design, None if step.failure else step.uniformity
+            self.uniformity_error, self.figures = step.uniformity_error, step.figures
+
 
 @dataclass
 class Trial:
@@ -40,16 +48,44 @@ class Trial:
     computed: bool = False
 
 
+@dataclass(frozen=True)
+class Past:
+    """What is on record of a run: steps by (lane, number), films by pairs, the next step's place in its sequence."""
+
+    steps: dict[tuple[int, int], Step] = field(default_factory=dict)
+    films: dict[float, tuple[Task, Film]] = field(default_factory=dict)
+    sequence: int = 0
+
+    @property
+    def results(self) -> Iterator[tuple[str, dict[str, Any]]]:
+        """The figures of every design that was evaluated, by ray task."""
+        return ((step.task_id, step.figures) for step in self.steps.values() if step.task_id and not step.failure)
+
+
 @dataclass
 class Run:
     """What is known in a run."""
 
     plan: Plan
+    past: Past = field(default_factory=Past)
     lanes: dict[int, Lane] = field(default_factory=dict)
     films: dict[float, tuple[Task, Film]] = field(default_factory=dict)
-    results: OrderedDict[str, dict[str, Any]] = field(
-        default_factory=OrderedDict
-    )  # the figures of a step, by ray task
+    results: OrderedDict[str, dict[str, Any]] = field(default_factory=OrderedDict)
+    """The figures of a step, by ray task."""
+
+    def __post_init__(self) -> None:
+        self.films |= self.past.films
+        self.results.update(self.past.results)
+
+    def lane(self, number: int, action: int) -> Lane:
+        """A lane before its action of this number: as far as its steps are on record it is taken there.
+
+        A designer that goes on begins where its checkpoint is, or at the beginning.
+        """
+        lane = self.lanes.setdefault(number, Lane())
+        while not lane.busy and lane.number + 1 < action and (number, lane.number + 1) in self.past.steps:
+            lane.follow(self.past.steps[number, lane.number + 1])
+        return lane
 
 
 def film_task(plan: Plan, pairs: float) -> Task:

@@ -100,6 +100,7 @@ class Begin(Words):
     designer: Name = Field(description="This process: a second one on the same run is refused.")
     facts: Plain = Field(default_factory=dict, description="Into the journal: argv, configuration, packages.")
     attachments: dict[Name, str] = Field(default_factory=dict, max_length=16)
+    resume: bool = Field(False, description="Go on with a run that exists: what its journal holds is not done again.")
 
     @field_validator("attachments")
     @classmethod
@@ -109,13 +110,18 @@ class Begin(Words):
                 raise InputError(f"attachments.{name}", len(text), f"up to {MAX_ATTACHMENT:,} characters")
         return attachments
 
+    def same_run(self, other: Begin) -> bool:
+        """Whether both are of one designer and one run, opened or opened again."""
+        return self.model_copy(update={"resume": other.resume}) == other
+
 
 class Begun(Words):
-    """The run is open: where its journal lies, as the controller names it."""
+    """The run is open: where its journal lies, as the controller names it, and how many steps were on record."""
 
     run: RunId
     folder: Text
     segment: int
+    steps: int = 0
 
 
 class Move(Words):
@@ -149,8 +155,9 @@ class AgentRecord(Words):
 class Action(Words):
     """What is to be evaluated next in a lane: a design, or a move from where the lane is.
 
-    `number` counts a lane's actions from 0; the same action asked twice is one, and gets the same step. A final
-    action leaves its lane where it was, and may lie outside the bounds (the best design without its DBR).
+    `number` counts a lane's actions from 0; the same action asked twice is one, and gets the same step, also after
+    the run was resumed. A final action leaves its lane where it was, and may lie outside the bounds (the best design
+    without its DBR).
     """
 
     run: RunId
@@ -188,6 +195,7 @@ class Step(Words):
     """State and reward, in the one format for every designer: where the lane is now, how good that is."""
 
     FIGURES: ClassVar[tuple[str, ...]] = ("uniformity", "mean_illuminance_lx", "optical_efficiency", "hot_spot_ratio")
+    CIRCUMSTANCES: ClassVar[set[str]] = {"run", "cut", "cached", "physics_s", "controller_s", "failure"}
 
     run: RunId
     lane: Lane
@@ -209,6 +217,12 @@ class Step(Words):
     physics_s: float = Field(0.0, ge=0.0, description="Computing time of the workers.")
     controller_s: float = Field(0.0, ge=0.0, description="From the action to this step, waiting included.")
     failure: Failure | None = Field(None, description="Why it could not be evaluated; the figures then mean nothing.")
+
+    def content(self) -> dict[str, Any]:
+        """The step without what depends on clocks, workers and on what happened to be known: the same in any run of
+        the same plan, designer and seed, however often that was interrupted."""
+        plain = self.model_dump(mode="json", exclude=self.CIRCUMSTANCES)
+        return plain | {"failure": self.failure.code if self.failure else None}
 
 
 class Note(Words):

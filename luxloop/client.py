@@ -10,7 +10,6 @@ and workers are started as processes of their own (`luxloop serve local`) and st
 from __future__ import annotations
 
 import os
-import socket
 import subprocess
 import sys
 import time
@@ -27,7 +26,7 @@ from luxloop.bus.blobs import fetcher
 from luxloop.bus.frame import Array, Parcel
 from luxloop.bus.keys import KEYS, at
 from luxloop.bus.zenoh_bus import ZenohBus
-from luxloop.endpoint import host_and_port, listening
+from luxloop.endpoint import free_loopback, is_loopback, listening
 from luxloop.errors import LuxloopError, RemoteError
 from luxloop.failure import Failure
 from luxloop.messages import Outcome, Pending, Request, Status, StatusAsked, Submit, Task, Withdraw
@@ -64,7 +63,7 @@ class Client:
         self._stack = ExitStack()
         started = False
         if not listening(settings.router):
-            if not (local and _is_loopback(settings.router)):
+            if not (local and is_loopback(settings.router)):
                 raise RemoteError(_nobody(settings))
             settings, started = self._start_local(settings, ray_workers), True
         self.settings = settings
@@ -157,6 +156,10 @@ class Client:
         key, limit_s = at(self.settings.realm, row, **parts), KEYS[row].time_limit_s
         return ask_for(self._bus, key, message, limit_s, cancelled=until or self._closing, fetch=self._fetch)
 
+    def announce(self, designer: str) -> None:
+        """Let it be seen that a designer lives; that ends with this client."""
+        self._bus.announce(at(self.settings.realm, "alive", role="designer", kind="run", name=designer))
+
     def withdraw(self, request: Request | Task) -> None:
         """Take this client's wish back; the task is cancelled unless another client waits for it."""
         withdraw = Withdraw(task_id=as_task(request).id, asker=self._asker)
@@ -181,7 +184,7 @@ class Client:
 
     def _start_local(self, settings: Settings, ray_workers: int) -> Settings:
         """Start a private set on a free port; it ends with this process even if this is killed."""
-        settings = settings.model_copy(update={"router": _free_endpoint()})
+        settings = settings.model_copy(update={"router": free_loopback(settings.router)})
         process = subprocess.Popen(
             [sys.executable, "-m", "luxloop", "serve", "local", "--quiet", "--ray-tracing", str(ray_workers)],
             env=as_environment(settings) | {"LUXLOOP_WITH_PARENT": str(os.getpid())},
@@ -241,17 +244,6 @@ def _answer_or_failure(future: Future[Answer]) -> Answer | RemoteError:
         return error
     except LuxloopError as error:
         return RemoteError(Failure.of(error))
-
-
-def _is_loopback(endpoint: str) -> bool:
-    host = host_and_port(endpoint)[0]
-    return host == "localhost" or host == "::1" or host.startswith("127.")
-
-
-def _free_endpoint() -> str:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
 
 
 def _nobody(settings: Settings) -> Failure:

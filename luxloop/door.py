@@ -1,7 +1,10 @@
-"""A designer's door to a run: begin it, act in its lanes, put things on record, end it.
+"""A designer's door to a run: begin it or go on with it, act in its lanes, put things on record, end it.
 
 with Client(settings) as client, RunDoor.begin(client, plan) as door:
     step = door.act(Action(run=door.run, designer=door.designer, lane=0, number=0, design=design))
+
+A controller that was killed and started again knows nothing of the run; it is asked to go on with it, reads the
+journal back, and the action that was under way is asked again: the designer notices nothing.
 """
 
 from __future__ import annotations
@@ -18,24 +21,28 @@ from luxloop.bus.frame import Parcel
 from luxloop.campaign import Action, AgentRecord, Begin, Begun, End, Ended, Note, Plan, Step
 from luxloop.client import AGAIN, Client
 from luxloop.errors import RemoteError
-from luxloop.failure import Failure
+from luxloop.failure import Failure, printable
 from luxloop.messages import Nothing, Receipt
 from luxloop.words import Words
 
 LOST_S = 60.0
 """A controller or router that is away for longer is given up; one that is started again is back in a few seconds."""
+REOPENED = 10
+"""How often a run is opened again for one question, before the controller is taken for one that cannot keep it."""
 
 
 class RunDoor:
     """An open run. Thread-safe: lanes may act from several threads. Left by `with`, the run is ended."""
 
-    def __init__(self, client: Client, begun: Begun, designer: str) -> None:
-        self._client, self.begun, self.designer = client, begun, designer
-        self.run = begun.run
+    def __init__(self, client: Client, begin: Begin) -> None:
+        """Opens the run. Raises RemoteError refused where that cannot be; see `begin`."""
+        self._client, self._begin = client, begin
+        self.run, self.designer = begin.plan.run, begin.designer
         self.ended: Ended | None = None
         self.reason = "left early"
         self.on_lost: Callable[[float], None] = lambda _: None
         """Told for how long nothing was heard from the controller, now and then."""
+        self.begun = _asked(client, "begin", begin, {}).expect(Begun)
 
     @classmethod
     def begin(
@@ -44,31 +51,55 @@ class RunDoor:
         plan: Plan,
         facts: Mapping[str, Any] | None = None,
         attachments: Mapping[str, str] | None = None,
+        *,
+        resume: bool = False,
     ) -> RunDoor:
-        """Open a run. Raises RemoteError refused where its id is taken, or its folder cannot be written."""
+        """Open a new run, or with `resume` one that exists.
+
+        Raises RemoteError refused where the id is taken, where the run to go on with is another one, in use or
+        damaged, and where its folder cannot be written.
+        """
         designer = f"{os.getpid()}-{uuid4().hex[:8]}"
-        begin = Begin(plan=plan, designer=designer, facts=dict(facts or {}), attachments=dict(attachments or {}))
-        return cls(client, _asked(client, "begin", begin, {}).expect(Begun), designer)
+        client.announce(designer)
+        begin = Begin(
+            plan=plan, designer=designer, facts=dict(facts or {}), attachments=dict(attachments or {}), resume=resume
+        )
+        return cls(client, begin)
 
     def act(self, action: Action, until: Interrupt | None = None) -> Step:
         """The step that comes of an action, once it is on the controller's disk. Asks again while it takes."""
         while True:
-            try:
-                parcel = _asked(self._client, "act", action, {"name": self.run}, until, self.on_lost)
-            except RemoteError as error:
-                if error.failure.code != "not_found":
-                    raise
-                raise RemoteError(self._gone()) from error
+            parcel = self._asked("act", action, until)
             if not isinstance(parcel.message, Nothing):
                 return parcel.expect(Step)
 
-    def _gone(self) -> Failure:
+    def _asked(
+        self, row: str, message: Words, until: Interrupt | None = None, patience_s: float = LOST_S
+    ) -> Parcel:
+        """The answer to a question about the run, which is opened again where the controller has lost it."""
+        for _ in range(REOPENED):
+            try:
+                return _asked(self._client, row, message, {"name": self.run}, until, self.on_lost, patience_s)
+            except RemoteError as error:
+                if error.failure.code != "not_found" or not patience_s:
+                    raise
+                self._open_again()
+        raise RemoteError(self._gone("the controller opens it and loses it again"))
+
+    def _open_again(self) -> None:
+        again = self._begin.model_copy(update={"resume": True})
+        try:
+            self.begun = _asked(self._client, "begin", again, {}).expect(Begun)
+        except RemoteError as error:
+            raise RemoteError(self._gone(error.failure.message)) from error
+
+    def _gone(self, why: str) -> Failure:
         return Failure(
             code="worker_lost",
-            message=f"the controller ended, and the run {self.run!r} with it; every step that was told is safe in"
-            f" {self.begun.folder}",
-            mend=f"luxloop campaign report {self.begun.folder}; to go on, begin a run with another id",
-        )
+            message=printable(f"the controller ended, and the run {self.run!r} with it ({why}); every step that was"
+                              f" told is safe in {self.begun.folder}"),
+            mend=f"luxloop campaign resume {self.run}",
+        )  # fmt: skip
 
     def note(
         self, *, agent: AgentRecord | None = None, result: Mapping[str, Any] | None = None, log: str = ""
@@ -77,13 +108,13 @@ class RunDoor:
         note = Note(
             run=self.run, designer=self.designer, agent=agent, result=dict(result) if result else None, log=log
         )
-        _asked(self._client, "note", note, {"name": self.run}).expect(Receipt)
+        self._asked("note", note).expect(Receipt)
 
     def end(self, reason: str, patience_s: float = LOST_S) -> Ended:
         """Finish the journal; records and root, which should leave the machine."""
         if self.ended is None:
             end = End(run=self.run, designer=self.designer, reason=reason)
-            self.ended = _asked(self._client, "end", end, {"name": self.run}, patience_s=patience_s).expect(Ended)
+            self.ended = self._asked("end", end, patience_s=patience_s).expect(Ended)
         return self.ended
 
     def __enter__(self) -> RunDoor:

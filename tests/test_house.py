@@ -16,6 +16,7 @@ ROOMS = ("agent", "containers", "env_controller", "validation", "viewer")
 PACKAGES = ("luxloop", *ROOMS)
 HALL_LINES = 2400
 BUS_LINES = 800
+JOURNAL_LINES = 900
 MODULE_LINES = 500
 HALL_MODULE_LINES = 300
 
@@ -37,11 +38,11 @@ def code_lines(path: Path) -> int:
 
 
 def test_the_hall_stays_small() -> None:
-    """The shared language is under 2,400 lines of code, bus and journal under 800 each, no file over 300 lines."""
+    """The shared language is under 2,400 lines of code, the bus under 800, the journal under 900, no file over 300."""
     bus, journal = modules("luxloop/bus"), modules("luxloop/journal")
     assert sum(map(code_lines, set(modules("luxloop")) - set(bus) - set(journal))) < HALL_LINES
     assert sum(map(code_lines, bus)) < BUS_LINES
-    assert sum(map(code_lines, journal)) < BUS_LINES
+    assert sum(map(code_lines, journal)) < JOURNAL_LINES
     assert [str(path) for path in modules("luxloop") if len(path.read_text().splitlines()) > HALL_MODULE_LINES] == []
 
 

@@ -105,6 +105,7 @@ def document_of(journal: RunJournal) -> dict[str, Any]:
         "last_utc": _utc(total.last_ns),
         "span_s": max(0, total.last_ns - total.first_ns) / 1e9,
         "chain": asdict(total.mark),
+        "content": total.content,
         "attachments": {name: len(data) for name, data in journal.attachments().items()},
         "environment": journal.metadata("environment"),
     }
@@ -122,6 +123,7 @@ def as_text(document: dict[str, Any]) -> str:
         _row("best", _design(document["best"])),
         _row("best finalist", _design(document["best_final"])),
         _row("chain", f"{document['chain']['records']:,} records, root {document['chain']['root']}"),
+        _row("content", f"{document['content']}, of designs, figures and choices"),
         _row("size", f"{document['size_bytes'] / 1e6:.2f} MB in {len(document['segments'])} segment(s)"),
     ]
     for segment in document["segments"]:

@@ -12,6 +12,7 @@ from luxloop.campaign import Step
 from luxloop.journal.chain import Mark
 from luxloop.journal.scan import Scan
 from luxloop.journal.topics import CHAIN, Record
+from luxloop.words import sha256_of
 
 FIGURES = {"lane", "number", "design", "uniformity", "uniformity_error", "reward", "task_id"}
 NEVER_NS = 1 << 63
@@ -29,6 +30,15 @@ class Contents:
     first_ns: int = NEVER_NS
     last_ns: int = 0
     best: dict[bool, Step] = field(default_factory=dict)
+    told: dict[tuple[int, int, str], str] = field(default_factory=dict)
+
+    @property
+    def content(self) -> str:
+        """SHA-256 over what was decided and found, lane by lane, without times, workers and ways.
+
+        An interrupted and resumed run has the same as one that was never disturbed.
+        """
+        return sha256_of([[*key, digest] for key, digest in sorted(self.told.items())])
 
     def read(self) -> Contents:
         """Itself, after the segment was read from its beginning: a finished one, a broken one, one that grows."""
@@ -49,6 +59,7 @@ class Contents:
             self.topics += part.topics
             self.mark = part.mark if part.mark.records else self.mark
             self.first_ns, self.last_ns = min(self.first_ns, part.first_ns), max(self.last_ns, part.last_ns)
+            self.told |= part.told
             for step in part.best.values():
                 self._look(step)
         return self
@@ -67,7 +78,12 @@ class Contents:
         self.topics[entry.topic] += 1
         self.first_ns, self.last_ns = min(self.first_ns, entry.log_time_ns), max(self.last_ns, entry.log_time_ns)
         if entry.topic == "/step":
-            self._look(entry.value)
+            step = entry.value
+            self.told[step.lane, step.number, "step"] = sha256_of(step.content())
+            self._look(step)
+        elif entry.topic == "/agent":
+            agent = entry.value
+            self.told[agent.lane, agent.number, "agent"] = sha256_of(agent.model_dump(mode="json", exclude={"run"}))
 
     def _look(self, step: Step) -> None:
         best = self.best.get(step.final)

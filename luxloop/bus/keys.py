@@ -12,7 +12,7 @@ from luxloop import campaign as c
 from luxloop import messages as m
 from luxloop.words import Words
 
-Role = Literal["controller", "worker", "anybody"]
+Role = Literal["controller", "worker", "client", "anybody"]
 
 HOLD_S = 20.0  # how long the controller holds a query open; then it answers Pending or Nothing
 SHORT_S = 5.0  # a query that is answered at once
@@ -20,7 +20,7 @@ SHORT_S = 5.0  # a query that is answered at once
 
 @dataclass(frozen=True)
 class Key:
-    """One row: the key's pattern, what is asked or told, what comes back, by whom, and the limits."""
+    """One row: the key's pattern, what is asked or told, what comes back, by whom, the limits, and who may ask."""
 
     pattern: str
     message: type[Words]
@@ -28,23 +28,25 @@ class Key:
     answered_by: Role
     time_limit_s: float
     journalled: bool
+    asked_by: Role = "client"  # or told by; the router lets nobody else (access.py)
 
 
 KEYS: dict[str, Key] = {
     "submit": Key("submit/{kind}", m.Submit, m.Outcome, "controller", HOLD_S + 5.0, True),
     "withdraw": Key("withdraw", m.Withdraw, m.Receipt, "controller", SHORT_S, True),
     "status": Key("status", m.StatusAsked, m.Status, "controller", SHORT_S, False),
-    "hello": Key("hello/{kind}", m.Hello, m.Welcome, "controller", SHORT_S, True),
-    "pull": Key("pull/{kind}", m.Pull, m.Lease, "controller", HOLD_S + 5.0, True),
-    "done": Key("done/{kind}", m.Done, m.Receipt, "controller", SHORT_S, True),
-    "heartbeat": Key("heartbeat/{kind}/{worker}", m.Heartbeat, None, "controller", SHORT_S, False),
-    "cancel": Key("cancel/{kind}/{worker}", m.Cancel, None, "worker", SHORT_S, False),
-    "blob": Key("blob/{sha256}/{worker}", m.BlobAsked, m.BlobPiece, "anybody", SHORT_S, False),
-    "begin": Key("begin", c.Begin, c.Begun, "controller", SHORT_S, True),
+    "hello": Key("hello/{kind}", m.Hello, m.Welcome, "controller", SHORT_S, True, "worker"),
+    "pull": Key("pull/{kind}", m.Pull, m.Lease, "controller", HOLD_S + 5.0, True, "worker"),
+    "done": Key("done/{kind}", m.Done, m.Receipt, "controller", SHORT_S, True, "worker"),
+    "heartbeat": Key("heartbeat/{kind}/{worker}", m.Heartbeat, None, "controller", SHORT_S, False, "worker"),
+    "cancel": Key("cancel/{kind}/{worker}", m.Cancel, None, "worker", SHORT_S, False, "controller"),
+    "blob": Key("blob/{sha256}/{worker}", m.BlobAsked, m.BlobPiece, "anybody", SHORT_S, False, "anybody"),
+    "begin": Key("begin", c.Begin, c.Begun, "controller", HOLD_S + 5.0, True),
     "act": Key("act/{name}", c.Action, c.Step, "controller", HOLD_S + 5.0, True),
     "note": Key("note/{name}", c.Note, m.Receipt, "controller", SHORT_S, True),
     "end": Key("end/{name}", c.End, c.Ended, "controller", 2.0 * SHORT_S, True),
-    "alive": Key("alive/{role}/{kind}/{name}", m.Nothing, None, "anybody", SHORT_S, False),
+    "replay": Key("replay/{name}", m.Replayed, None, "anybody", SHORT_S, False),
+    "alive": Key("alive/{role}/{kind}/{name}", m.Nothing, None, "anybody", SHORT_S, False, "anybody"),
 }
 
 

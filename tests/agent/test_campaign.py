@@ -87,7 +87,7 @@ def test_the_best_are_evaluated_anew_and_they_alone_are_reported() -> None:
     finals = [action for action in door.actions if action.final]
     assert [action.role for action in finals] == ["finalist"] * 5 + ["start", "best", "without_dbr"]
     assert len({action.seed for action in finals}) == 8
-    best_of_walk = sorted(runner._designer.known.uniformity.values(), reverse=True)[:5]
+    best_of_walk = sorted(runner.designer.known.uniformity.values(), reverse=True)[:5]
     assert len(result.finalists) == 5
     assert [step.uniformity for step in result.finalists] == sorted(
         (step.uniformity for step in result.finalists), reverse=True
@@ -96,7 +96,7 @@ def test_the_best_are_evaluated_anew_and_they_alone_are_reported() -> None:
     assert result.best.design == result.finalists[0].design
     assert result.best.number != result.finalists[0].number
     keys = {tuple(step.design.as_vector()) for step in result.finalists}
-    assert {runner._designer.known.uniformity[key] for key in keys} == set(best_of_walk)
+    assert {runner.designer.known.uniformity[key] for key in keys} == set(best_of_walk)
     assert result.start is not None
     assert result.start.design == runner.progress.first.design  # type: ignore[union-attr]
     assert result.without_dbr is not None
@@ -159,15 +159,17 @@ def test_failed_steps_are_survived_and_never_the_best() -> None:
     assert all(step.failure is None for step in result.finalists)
 
 
-def test_an_interrupted_campaign_takes_what_is_under_way_and_ends() -> None:
-    """No finalists; the reason says so."""
+def test_an_interrupted_campaign_waits_for_what_is_under_way() -> None:
+    """No finalists, the reason says so; what was under way is not told, the state has it to be sent again."""
     door = Door()
     chooser = designer("random", Space(BOUNDS), seed=1, lanes=2)
     runner = Runner(door, chooser, Stop(evaluations=50), lanes=2, seed=1, stop_wanted=lambda: len(door.actions) > 9)
     result = runner.run(5)
     assert result.reason == "interrupted"
     assert result.finalists == ()
-    assert runner.progress.steps == len(door.actions)
+    told = runner.state().words["told"]
+    assert sum(told) == runner.progress.steps == len(door.actions) - 2
+    assert [chooser.awaited(lane) is not None for lane in (0, 1)] == [True, True]
 
 
 def test_a_door_that_breaks_ends_the_campaign_with_its_error() -> None:

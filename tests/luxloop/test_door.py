@@ -8,18 +8,21 @@ import pytest
 
 from luxloop import door as doors
 from luxloop.bus.frame import Parcel
-from luxloop.campaign import Action, Begun, Ended, Step
+from luxloop.campaign import Action, Begin, Begun, Ended, Step
 from luxloop.design import Design
 from luxloop.door import RunDoor
 from luxloop.errors import RemoteError
 from luxloop.failure import Failure
 from luxloop.messages import Nothing
+from tests.campaign_runs import plan_of
 
 DESIGN = Design.from_vector((180.0, 28.0, 500.0, 35.0, 6.5))
 ACTION = Action(run="one", designer="d", lane=0, number=0, design=DESIGN)
 STEP = Step(
     run="one", lane=0, number=0, design=DESIGN, state=(0.0, 0.0, 0.0, 0.0, 0.0), uniformity=0.5, reward=0.0
 )  # fmt: skip
+
+BEGUN = Begun(run="one", folder="/runs/one", segment=1)
 
 
 class Client:
@@ -56,8 +59,10 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
 
 def door(*answers: Any) -> tuple[RunDoor, Client]:
     """A door on a run, and who answers there."""
-    client = Client(*answers)
-    return RunDoor(client, Begun(run="one", folder="/runs/one", segment=1), "d"), client  # type: ignore[arg-type]
+    client = Client(BEGUN, *answers)
+    opened = RunDoor(client, Begin(plan=plan_of("one"), designer="d"))  # type: ignore[arg-type]  # it has what is asked
+    client.rows.clear()
+    return opened, client
 
 
 def test_a_question_is_asked_again_while_it_takes() -> None:
@@ -87,12 +92,23 @@ def test_who_stays_away_is_given_up(clock: Clock) -> None:
 
 
 def test_a_run_that_the_controller_has_forgotten_says_what_is_safe_and_where() -> None:
-    """It was restarted: the folder, and how to go on."""
-    opened, _ = door("not_found")
+    """It was restarted and cannot go on with it: the reason, the folder, and the command."""
+    opened, _ = door("not_found", "refused")
     with pytest.raises(RemoteError) as caught:
         opened.act(ACTION)
+    assert "refused" in caught.value.failure.message
     assert "/runs/one" in caught.value.failure.message
-    assert "another id" in caught.value.failure.mend
+    assert caught.value.failure.mend == "luxloop campaign resume one"
+
+
+def test_a_run_that_the_controller_has_forgotten_is_opened_again(clock: Clock) -> None:
+    """It reads the journal back and answers; one that loses the run each time is given up."""
+    opened, client = door("not_found", BEGUN, STEP)
+    assert opened.act(ACTION) == STEP
+    assert client.rows == ["act", "begin", "act"]
+    opened, _ = door(*["not_found", BEGUN] * doors.REOPENED, "not_found")
+    with pytest.raises(RemoteError, match="loses it again"):
+        opened.act(ACTION)
 
 
 @pytest.mark.parametrize("code", ["refused", "bad_input"])

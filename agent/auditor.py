@@ -1,0 +1,204 @@
+"""Level 3 of a replay: the designer is built anew and told what the journal says; does it decide the same again?
+
+    campaign.json, plan.json ─▶ designer ─▶ Runner ──action──▶ a door that answers from the journal
+                                                 ◀──step────
+
+Each action is compared with the step that came of it: the design, what the learner was like (epsilon, Q, loss, number
+of updates, hash of its weights), a finalist's seed; at the end the reason why the walk ended. After an action that
+differs nothing can be compared: the designer would be told of a design that it did not propose.
+"""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+from agent.campaign import Past, Runner, WalkEnd
+from agent.config import Campaign
+from agent.designers import designer
+from agent.moves import Space
+from luxloop.audit import Compared, Place
+from luxloop.campaign import Action, AgentRecord, Plan, Step
+from luxloop.design import Design
+from luxloop.journal.reader import RunJournal
+from luxloop.words import parse
+
+EXACT = ("episode", "greedy", "updates")
+REAL = ("epsilon", "q", "loss")
+OTHER_MACHINE = 1e-3
+"""Relative: how far Q and loss may be off where packages or processor are others; float32 rounds by 6e-8."""
+NEEDED = ("plan.json", "campaign.json")
+TIME = "time:"
+
+
+class JournalEnds(Exception):  # noqa: N818  no error: a run that was killed or goes on is re-decided as far as it goes
+    """The designer asks for what is not on record."""
+
+
+class Diverged(Exception):  # noqa: N818  it is told as a comparison
+    """The designer asks for another design than on record."""
+
+
+def re_decide(journal: RunJournal, say: Callable[[Compared], None], *, same_machine: bool) -> None:
+    """Compares every proposal of the designer, and what its learner was like, with the journal."""
+    attachments = journal.attachments()
+    for name in NEEDED:
+        if name not in attachments:
+            Place(say).nothing("proposal", f"there is no {name}: it is not a run of `luxloop campaign run` or `grid`")
+            return
+    plan = parse(Plan, json.loads(attachments["plan.json"]), "plan.json")
+    campaign = parse(Campaign, json.loads(attachments["campaign.json"]), "campaign.json")
+    past = read_back(journal)
+    door = RecordedDoor(plan, past, say, same_machine)
+    chooser = designer(
+        campaign.designer, Space.of(plan), seed=campaign.seed, lanes=campaign.lanes, start=campaign.start,
+        learning=campaign.learner,
+    )  # fmt: skip
+    by_clock = past.end if past.end is not None and past.end.reason.startswith(TIME) else None
+    walked = sum(not one.step.final for one in past.steps.values())
+    runner = Runner(
+        door, chooser, campaign.stop.model_copy(update={"time_s": None}), lanes=campaign.lanes, seed=campaign.seed,
+        past=Past(walked, end=by_clock), on_walk_end=lambda end: walk_end(past.end, end, Place(say)),
+    )  # fmt: skip
+    try:
+        runner.run(campaign.finalists, without_dbr=plan.kind == "campaign")
+    except Diverged:
+        for one in door.left():
+            one.place(say).nothing("proposal", "an earlier proposal differs")
+    except JournalEnds:
+        pass
+    else:
+        for one in door.left():
+            one.place(say).exact("proposal", str(one.step.design), "none: the designer has ended")
+
+
+def walk_end(logged: WalkEnd | None, now: WalkEnd, at: Place) -> None:
+    """Compares when and why the walk ended; a run that was killed at that moment does not say it."""
+    if logged is not None:
+        at.exact("end of the walk", logged.line, now.line)
+
+
+@dataclass(frozen=True)
+class OnRecord:
+    """A step, its place in the journal, what the designer was like, the seed of its request."""
+
+    step: Step
+    sequence: int
+    agent: AgentRecord | None = None
+    seed: str | None = None
+
+    def place(self, say: Callable[[Compared], None]) -> Place:
+        """Where a comparison is made."""
+        return Place.of(say, self.sequence, self.step)
+
+
+@dataclass(frozen=True)
+class Record:
+    """A run's steps by (lane, number), and how its walk ended."""
+
+    steps: dict[tuple[int, int], OnRecord] = field(default_factory=dict)
+    end: WalkEnd | None = None
+
+
+def read_back(journal: RunJournal) -> Record:
+    """What the designer was told, and what it said."""
+    steps: dict[tuple[int, int], tuple[Step, int]] = {}
+    agents: dict[tuple[int, int], AgentRecord] = {}
+    seeds: dict[str, str] = {}
+    lines: list[str] = []
+    for entry in journal.records("/request/ray", "/step", "/agent", "/log"):
+        match entry.topic:
+            case "/request/ray":
+                seeds[entry.value.task_id] = str(entry.value.inputs.get("seed", ""))
+            case "/step":
+                steps[entry.value.lane, entry.value.number] = entry.value, entry.sequence
+            case "/agent":
+                agents[entry.value.lane, entry.value.number] = entry.value
+            case _:
+                lines.append(entry.value.message)
+    found = {
+        key: OnRecord(step, sequence, agents.get(key), seeds.get(step.task_id or ""))
+        for key, (step, sequence) in steps.items()
+    }
+    return Record(found, WalkEnd.among(lines))
+
+
+class RecordedDoor:
+    """Answers actions from a journal, and compares them with what was asked then. Lanes act from several threads."""
+
+    designer = "auditor"
+
+    def __init__(self, plan: Plan, past: Record, say: Callable[[Compared], None], same_machine: bool) -> None:
+        self.run = plan.run
+        self._plan, self._past, self._say, self._same = plan, past, say, same_machine
+        self._lane_at: dict[int, Design] = {}
+        self._seen: set[tuple[int, int]] = set()
+        self._lock = threading.Lock()
+
+    def act(self, action: Action) -> Step:
+        """The step on record. Raises JournalEnds where there is none, Diverged where it is of another design."""
+        key = action.lane, action.number
+        one = self._past.steps.get(key)
+        if one is None:
+            raise JournalEnds
+        with self._lock:
+            self._seen.add(key)
+            if not self._proposal(action, one):
+                raise Diverged
+            if action.agent is not None:
+                self._learner(action.agent, one)
+        return one.step
+
+    def left(self) -> list[OnRecord]:
+        """What was never asked for."""
+        return [one for key, one in self._past.steps.items() if key not in self._seen]
+
+    def _proposal(self, action: Action, one: OnRecord) -> bool:
+        """Compare what is asked for: the design, whether it is a final one and for what, a final one's seed."""
+        step, at = one.step, one.place(self._say)
+        design = self._aim(action)
+        if not step.final:
+            self._lane_at[action.lane] = step.design
+        logged = words(step.design, step.final, step.role)
+        margin = "" if action.agent is None or action.agent.q is None else f"chosen with Q = {action.agent.q:.6g}"
+        same = at.exact("proposal", logged, words(design, action.final, action.role), margin)
+        if same and action.final and one.seed is not None:
+            at.exact("seed", one.seed, action.seed)
+        return same
+
+    def _aim(self, action: Action) -> Design:
+        """The design that an action leads to; a move out of the bounds leaves its lane where it is."""
+        if action.design is not None or action.move is None:
+            assert action.design is not None  # noqa: S101  # an action has a design or a move
+            return action.design
+        here = self._lane_at[action.lane]
+        return self._plan.bounds.moved(here, action.move.variable, action.move.steps) or here
+
+    def _learner(self, now: AgentRecord, one: OnRecord) -> None:
+        """Compare what the learner is like with what it was like."""
+        logged, at = one.agent, one.place(self._say)
+        if logged is None:
+            at.nothing("learner", "nothing of it on record")
+            return
+        then, again = ([getattr(record, name) for name in EXACT] for record in (logged, now))
+        at.exact("episode, greedy, updates", then, again)
+        for name in REAL:
+            self._real(name, getattr(logged, name), getattr(now, name), at)
+        if self._same or logged.weights_sha256 == now.weights_sha256:
+            at.exact("weights_sha256", logged.weights_sha256, now.weights_sha256)
+        else:
+            at.nothing("weights_sha256", "other packages or another processor round otherwise")
+
+    def _real(self, name: str, logged: float | None, now: float | None, at: Place) -> None:
+        if self._same or logged is None or now is None:
+            at.exact(name, logged, now)
+        else:
+            at.near(name, logged, now, OTHER_MACHINE * abs(logged), "other packages or another processor")
+
+
+def words(design: Design, final: bool, role: Any) -> str:
+    """A proposal in words."""
+    return f"{design}{f', final ({role})' if final else ''}"

@@ -1,0 +1,231 @@
+"""Runs that are interrupted or killed, and gone on with: they end as if nothing had happened."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from agent.checkpoints import FOLDER
+from agent.config import Campaign, Stop
+from agent.launch import Launched, launch
+from agent.resume import resume
+from env_controller.audit.checks import exit_code, verify
+from env_controller.audit.contents import Contents
+from luxloop.client import Client
+from luxloop.door import RunDoor
+from luxloop.errors import InputError, RemoteError
+from luxloop.journal.reader import RunJournal
+from luxloop.model_file import find_model, to_toml
+from luxloop.settings import Settings, as_environment
+from tests.conftest import start, stop, wait_for
+from tests.running_set import RunningSet
+
+PRETEND = str(Path(__file__).parents[1] / "pretend_worker.py")
+EVALUATIONS = 90
+
+
+@pytest.fixture
+def running(settings: Settings) -> Iterator[RunningSet]:
+    """A set with one worker of each kind that pretends, the ray worker taking a little while."""
+    made = RunningSet(settings)
+    made.add(PRETEND, "film", "0.0")
+    made.add(PRETEND, "ray", "0.01")
+    made.ready(2)
+    yield made
+    made.close()
+
+
+def begun(running: RunningSet, run: str, *more: str) -> subprocess.Popen[str]:
+    """A campaign as a process of its own."""
+    argv = ("campaign", "run", "--no-local", "--id", run, "--evaluations", str(EVALUATIONS), "--json", *more)
+    return subprocess.Popen(
+        [sys.executable, "-m", "luxloop", *argv], env=as_environment(running.settings), text=True,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+    )  # fmt: skip
+
+
+def undisturbed(running: RunningSet, run: str = "calm", **changes: Any) -> Launched:
+    """The same campaign, never disturbed."""
+    campaign = Campaign(**{"stop": Stop(evaluations=EVALUATIONS)} | changes)
+    return launch(running.settings, campaign, "paper", run, local=False)
+
+
+def went_on(running: RunningSet, run: str, **how: Any) -> Launched:
+    """The rest of a run."""
+    return resume(running.settings, running.settings.runs_dir / run, local=False, **how)
+
+
+def steps_in(folder: Path) -> int:
+    """How many steps are on record so far; 0 before the journal has begun."""
+    try:
+        return len(list(RunJournal(folder).steps()))
+    except InputError:
+        return 0
+
+
+def content(running: RunningSet, run: str) -> str:
+    """What a run decided and found, all weights among it; its journal must be whole."""
+    folder = running.settings.runs_dir / run
+    assert exit_code(verify(folder, None, None)) in (0, 3)
+    journal = RunJournal(folder)
+    return Contents(folder).all_of([Contents(one.path).read() for one in journal.segments]).content
+
+
+def killed(running: RunningSet, run: str, after: int) -> None:
+    """A campaign that was killed after so many steps."""
+    process = begun(running, run)
+    folder = running.settings.runs_dir / run
+    wait_for(lambda: steps_in(folder) >= after, f"{after} steps")
+    stop(process)
+    process.communicate()
+
+
+@pytest.mark.parametrize("after", [1, 60])
+def test_a_killed_designer_is_gone_on_with(running: RunningSet, after: int) -> None:
+    """Before its first checkpoint and after it: designs, rewards, weights and choices are those of a calm run."""
+    killed(running, "stormy", after)
+    result = went_on(running, "stormy")
+    assert result.found.best is not None
+    undisturbed(running)
+    assert content(running, "stormy") == content(running, "calm")
+    assert len(RunJournal(running.settings.runs_dir / "stormy").segments) == 2
+
+
+def test_all_processes_killed(running: RunningSet) -> None:
+    """Designer, controller, router and workers at once; a new set goes on."""
+    undisturbed(running)
+    process = begun(running, "stormy")
+    wait_for(lambda: steps_in(running.settings.runs_dir / "stormy") >= 30, "steps")
+    for one in [process, *running.workers, running.controller, running.router]:
+        stop(one)  # type: ignore[arg-type]  # text or bytes, it is killed alike
+    process.communicate()
+    running.client.close()
+    again = RunningSet(running.settings)
+    try:
+        again.add(PRETEND, "film", "0.0")
+        again.add(PRETEND, "ray", "0.0")
+        went_on(again, "stormy")
+    finally:
+        again.close()
+    assert content(running, "stormy") == content(running, "calm")
+
+
+def test_a_designer_outlives_its_controller(running: RunningSet) -> None:
+    """The controller is killed twice and started again: the run goes on by itself."""
+    undisturbed(running)
+    process = begun(running, "stormy")
+    folder = running.settings.runs_dir / "stormy"
+    for after in (20, 50):
+        wait_for(lambda after=after: steps_in(folder) >= after, f"{after} steps")  # type: ignore[misc]  # bound now
+        stop(running.controller)
+        running.controller = start(running.settings, "-m", "luxloop", "serve", "controller", "--quiet")
+    out, _ = process.communicate(timeout=60)
+    assert process.returncode == 0
+    assert json.loads(out)["reason"].startswith("budget")
+    assert len(RunJournal(folder).segments) == 3
+    assert content(running, "stormy") == content(running, "calm")
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_run_says_how_to_go_on(running: RunningSet, number: signal.Signals) -> None:
+    """Exit 130 with the command; what was under way is on record; resumed it ends as a calm one."""
+    process = begun(running, "stormy")
+    wait_for(lambda: steps_in(running.settings.runs_dir / "stormy") >= 20, "steps")
+    os.kill(process.pid, number)
+    out, said = process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert "luxloop campaign resume stormy" in said
+    assert json.loads(out)["reason"] == "interrupted"
+    went_on(running, "stormy")
+    undisturbed(running)
+    assert content(running, "stormy") == content(running, "calm")
+
+
+@pytest.mark.parametrize("name", ["pattern", "random", "ddqn-paper"])
+def test_every_designer_can_be_gone_on_with(running: RunningSet, name: str) -> None:
+    """Searches and the paper's learner, twice interrupted."""
+    undisturbed(running, designer=name)
+    process = begun(running, "stormy", "--designer", name)
+    folder = running.settings.runs_dir / "stormy"
+    wait_for(lambda: steps_in(folder) >= 15, "steps")
+    os.kill(process.pid, signal.SIGINT)
+    process.communicate(timeout=30)
+    if not any(step.final for step in RunJournal(folder).steps()):
+        went_on(running, "stormy")
+    assert content(running, "stormy") == content(running, "calm")
+
+
+def test_a_run_is_gone_on_with_by_one_designer_only(running: RunningSet) -> None:
+    """While the first lives its owner is named; a run that has ended is not gone on with."""
+    process = begun(running, "mine")
+    wait_for(lambda: steps_in(running.settings.runs_dir / "mine") >= 5, "steps")
+    with pytest.raises(RemoteError, match="in use by the designer"):
+        went_on(running, "mine")
+    process.communicate(timeout=60)
+    with pytest.raises(InputError, match="has ended"):
+        went_on(running, "mine")
+
+
+def test_a_changed_model_is_refused_with_the_difference(running: RunningSet, tmp_path: Path) -> None:
+    """The field, before and after; --as-recorded goes on with what the journal holds."""
+    file = tmp_path / "model.toml"
+    model = find_model("paper")
+    file.write_text(to_toml(model))
+    process = begun(running, "stormy", "--model", str(file))
+    wait_for(lambda: steps_in(running.settings.runs_dir / "stormy") >= 10, "steps")
+    os.kill(process.pid, signal.SIGINT)
+    process.communicate(timeout=30)
+    file.write_text(to_toml(model.with_value("environment.peak_nm", 460.0)))
+    with pytest.raises(InputError, match=r"peak_nm.*460"):
+        went_on(running, "stormy")
+    went_on(running, "stormy", as_recorded=True)
+    undisturbed(running)
+    assert content(running, "stormy") == content(running, "calm")
+
+
+@pytest.mark.parametrize("harm", ["cut", "another run's", "ahead"])
+def test_a_checkpoint_that_does_not_fit_is_left_aside(
+    running: RunningSet, harm: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Told with the reason; the journal alone leads to the same end."""
+    killed(running, "stormy", 60)
+    folder = running.settings.runs_dir / "stormy"
+    (newest,) = sorted((folder / FOLDER).glob("*.npz"))[-1:]
+    if harm == "cut":
+        newest.write_bytes(newest.read_bytes()[:-200])
+    elif harm == "another run's":
+        undisturbed(running, "other", seed=2)
+        (other,) = sorted((running.settings.runs_dir / "other" / FOLDER).glob("*.npz"))[:1]
+        newest.write_bytes(other.read_bytes())
+    else:
+        undisturbed(running, "calm")
+        last = sorted((running.settings.runs_dir / "calm" / FOLDER).glob("*.npz"))[-1]
+        newest.with_name(last.name).write_bytes(last.read_bytes())
+    went_on(running, "stormy")
+    said = capsys.readouterr().err
+    assert "is left aside" in said
+    if harm != "ahead":
+        undisturbed(running, "calm")
+    assert content(running, "stormy") == content(running, "calm")
+
+
+def test_a_run_of_another_release_or_none_is_refused(running: RunningSet, tmp_path: Path) -> None:
+    """A folder without a journal, an id that nobody has, a plan that differs."""
+    with pytest.raises(InputError, match="the folder of a run"):
+        resume(running.settings, tmp_path / "nothing", local=False)
+    killed(running, "stormy", 5)
+    plan = Campaign(seed=5).plan("stormy", find_model("paper"), "paper")
+    with Client(running.settings, local=False) as client:
+        with pytest.raises(RemoteError, match="another plan: walk differ"):
+            RunDoor.begin(client, plan, resume=True)
+        nobody = plan.model_copy(update={"run": "nobody"})
+        with pytest.raises(RemoteError, match="folder of a run"):
+            RunDoor.begin(client, nobody, resume=True)
