@@ -169,7 +169,9 @@ def follow_run(folder: Path, *, as_json: bool, show: bool) -> None:
                 look(seen.progress)
                 if seen.progress.steps > row["steps"] and not show:
                     write.step(entry, seen)
-        write.status("end", overview(folder))
+    elif not as_json:
+        return
+    write.status("end", overview(folder))
 
 
 def follow_replay(settings: Settings, source: str, *, as_json: bool, show: bool) -> None:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from importlib.metadata import distributions
+from importlib.metadata import distributions, entry_points
 from pathlib import Path
 from typing import Any, Literal
 
@@ -26,6 +26,7 @@ from luxloop.client import Client
 from luxloop.door import LOST_S, RunDoor
 from luxloop.endpoint import listening
 from luxloop.errors import InputError, LuxloopError
+from luxloop.model import Model
 from luxloop.model_file import find_model, to_toml
 from luxloop.process import usable_cores
 from luxloop.settings import Settings, usable_cache, usable_runs
@@ -77,12 +78,7 @@ def launch(
     plan = campaign.plan(name, chosen, model, kind=kind)
     refuse_taken_id(settings, name, local)
     usable_cache(settings)
-    attachments = {
-        "model.toml": to_toml(chosen),
-        "campaign.json": canonical(campaign).decode(),
-        "packages.txt": packages(),
-    }
-    return Start(settings, campaign, plan, attachments, chosen.sha256, local=local, show=show).go()
+    return Start(settings, campaign, plan, chosen, local=local, show=show).go()
 
 
 @dataclass(frozen=True)
@@ -92,8 +88,7 @@ class Start:
     settings: Settings
     campaign: Campaign
     plan: Plan
-    attachments: dict[str, str]
-    model_sha256: str
+    model: Model
     on_record: tuple[Step, ...] = ()
     past: Past | None = None
     local: bool = True
@@ -106,7 +101,7 @@ class Start:
         with (
             interruptible() as interrupted,
             Client(self.settings, local=self.local, patience_s=PATIENCE_S, ray_workers=workers) as client,
-            RunDoor.begin(client, plan, self._facts(), self.attachments, resume=self.past is not None) as door,
+            RunDoor.begin(client, plan, self._facts(), self._attachments(), resume=self.past is not None) as door,
             live(self.show, plan.run, campaign.stop.evaluations, client) as look,
         ):
             door.on_lost = lost(self.show)
@@ -124,11 +119,22 @@ class Start:
         return {
             "argv": sys.argv[1:],
             "version": __version__,
-            "model_sha256": self.model_sha256,
+            "model_sha256": self.model.sha256,
             "campaign_sha256": sha256_of(self.campaign),
             "seed": str(self.campaign.seed),
             "designer": self.campaign.designer,
         }
+
+    def _attachments(self) -> dict[str, str]:
+        """The files that say what is run: model, settings, packages, and what other rooms have on the model."""
+        files = {
+            "model.toml": to_toml(self.model),
+            "campaign.json": canonical(self.campaign).decode(),
+            "packages.txt": packages(),
+        }
+        for point in entry_points(group="luxloop.attachments"):
+            files |= point.load()(self.model.environment)
+        return files
 
     def _checkpoints(self, door: RunDoor) -> Checkpoints:
         """Beside the journal, where that is within reach."""

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from agent.campaign import INTERRUPTED, Past, WalkEnd
 from agent.config import Campaign
-from agent.launch import Launched, Start, packages, warn
+from agent.launch import Launched, Start, warn
 from agent.recorded import Recorded, recorded
 from luxloop import __version__
 from luxloop.errors import InputError, LuxloopError
@@ -19,7 +19,7 @@ from luxloop.journal.reader import RunJournal
 from luxloop.model import Model
 from luxloop.model_file import diff, find_model, parse_toml
 from luxloop.settings import Settings, usable_cache
-from luxloop.words import canonical, parse
+from luxloop.words import parse
 
 NEEDED = ("plan.json", "campaign.json", "model.toml")
 
@@ -43,15 +43,10 @@ def resume(
     if not as_recorded:
         refuse_changed(model, run.plan.model)
     campaign = parse(Campaign, json.loads(run.attachments["campaign.json"]), "campaign.json")
-    attachments = {
-        "model.toml": run.attachments["model.toml"].decode(),
-        "campaign.json": canonical(campaign).decode(),
-        "packages.txt": packages(),
-    }
     usable_cache(settings)
     steps = tuple(told.step for told in run.told)
     past = Past(sum(not step.final for step in steps), wall_s(folder), WalkEnd.among(run.lines))
-    return Start(settings, campaign, run.plan, attachments, model.sha256, steps, past, local=local, show=show).go()
+    return Start(settings, campaign, run.plan, model, steps, past, local=local, show=show).go()
 
 
 def refuse_ended(run: Recorded) -> None:

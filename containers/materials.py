@@ -21,8 +21,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from luxloop.errors import InputError
+from luxloop.model import Environment
 
 DATA = Path(__file__).with_name("material_data")
+DISPERSIVE = ("GaN", "AlN")
+"""What chip and mirror are made of where `indices` is dispersive."""
 
 
 @dataclass(frozen=True)
@@ -82,6 +85,16 @@ def material(name: str) -> Material:
 def list_materials() -> tuple[str, ...]:
     """Names of all materials, in alphabetical order."""
     return tuple(sorted((path.stem for path in DATA.glob("*.toml")), key=str.lower))
+
+
+def tables_of(environment: Environment) -> dict[str, str]:
+    """The data files that an environment's indices come from, by name: for the record of a run.
+
+    None where the indices are fixed: then the model file says them.
+    """
+    if environment.indices == "fixed":
+        return {}
+    return {f"material-{name}.toml": (DATA / f"{name}.toml").read_text(encoding="utf-8") for name in DISPERSIVE}
 
 
 def _near(name: str) -> list[str]:

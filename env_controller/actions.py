@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from env_controller.events import Command, Event
@@ -17,7 +17,7 @@ class Opened(Event):
     """A run begins, or goes on after what is on record."""
 
     plan: Plan
-    past: Past = Past()
+    past: Past = field(default_factory=Past)
 
 
 @dataclass(frozen=True)

@@ -109,7 +109,7 @@ class Campaigns:
         if run is not None and not begin.same_run(run.begin):
             if not begin.resume or self._lives(run.begin.designer):
                 owner = f"the run {name!r} is in use by the designer {run.begin.designer} (process id and a number)"
-                raise _refused(owner, f"end that one first, or take another id")
+                raise _refused(owner, "end that one first, or take another id")
             self._close(name, f"its designer {run.begin.designer} has gone", lost=True)
             run = None
         if run is None:

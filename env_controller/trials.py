@@ -26,7 +26,7 @@ class Lane:
     busy: bool = False
 
     def follow(self, step: Step) -> None:
-        """Go where a step leads; a final one leaves the lane where it was, a failed one nowhere to be compared with."""
+        """Go where a step leads; a final one leaves the lane where it was, after a failed one nothing is compared."""
         self.number, self.busy = step.number, False
         if not step.final:
             self.design, self.uniformity = step.design, None if step.failure else step.uniformity

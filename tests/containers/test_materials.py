@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import tomllib
+
 import numpy as np
 import pytest
 
-from containers.materials import list_materials, material
+from containers.materials import list_materials, material, tables_of
 from luxloop.errors import InputError
+from luxloop.model import Environment
 
 ALL = ("Ag", "air", "Al", "Al2O3", "AlN", "GaN", "PMMA", "Si", "SiO2", "TiO2")
 PAGES = {
@@ -98,3 +101,11 @@ def test_an_unknown_name_is_answered_with_the_near_ones() -> None:
         material("gan")
     with pytest.raises(InputError, match="fixed index"):
         material("../material_data/GaN")
+
+
+def test_the_tables_of_a_model_are_for_its_record() -> None:
+    """With dispersion the data files of chip and mirror, as they lie on disk; fixed indices need none."""
+    assert tables_of(Environment()) == {}
+    tables = tables_of(Environment(indices="dispersive"))
+    assert sorted(tables) == ["material-AlN.toml", "material-GaN.toml"]
+    assert tomllib.loads(tables["material-GaN.toml"])["name"] == "GaN"

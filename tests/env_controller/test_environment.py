@@ -10,11 +10,13 @@ from env_controller import actions as a
 from env_controller.environment import EnvironmentAgent
 from env_controller.events import Command
 from env_controller.rewards import reward_of
+from env_controller.trials import Past, film_task
 from luxloop.campaign import Action, Fidelity, Move, Plan, Step
 from luxloop.design import Bounds, Design
 from luxloop.errors import InputError
 from luxloop.failure import Failure
 from luxloop.model import Environment
+from luxloop.ray import Film
 
 DESIGN = Design.from_vector((150.0, 30.0, 500.0, 20.0, 5.5))
 
@@ -300,3 +302,64 @@ def test_the_same_events_give_the_same_commands() -> None:
 def test_rewards_are_those_of_the_paper(name: Any, uniformity: float, before: float | None, reward: float) -> None:
     """Hand-computed from Eqs. 3 to 5, the best states of Table 6 among them."""
     assert reward_of(name, uniformity, before) == pytest.approx(reward, abs=1e-4)
+
+
+MOVES: tuple[dict[str, Any], ...] = (
+    {"design": DESIGN},
+    {"move": Move(variable="distance_um", steps=1)},
+    {"move": Move(variable="thickness_um", steps=1000)},  # out of the bounds
+    {"move": Move(variable="dbr_pairs", steps=1)},
+    {"move": Move(variable="distance_um", steps=-1)},
+    {"design": DESIGN, "final": True, "seed": "77", "role": "best"},
+    {"move": Move(variable="width_um", steps=1)},
+)
+
+
+def walked(story: Story, moves: tuple[dict[str, Any], ...], first: int = 0) -> list[Step]:
+    """The steps of some actions, uniformities by their number."""
+    return [evaluated(story, 0.5 + 0.01 * (first + i), **what) for i, what in enumerate(moves)]
+
+
+def gone_on(steps: list[Step]) -> Story:
+    """An agent that has read these steps back."""
+    story = Story()
+    film = Film(sha256="f" * 64, bytes=9)
+    films = {pairs: (film_task(plan(), pairs), film) for pairs in {step.design.dbr_pairs for step in steps}}
+    past = Past({(step.lane, step.number): step for step in steps}, films, sequence=len(steps))
+    story.agent.handle(a.Opened(0.0, plan(), past))
+    return story
+
+
+@pytest.mark.parametrize("known", range(len(MOVES) + 1))
+def test_a_run_that_is_gone_on_with_tells_the_same_steps(known: int) -> None:
+    """What is on record is told again and not wanted; what follows is as if the agent had never ended."""
+    calm = walked(Story(), MOVES)
+    story = gone_on(calm[:known])
+    for step, what in zip(calm[:known], MOVES, strict=False):
+        assert story.act(**what) == [a.Again(step)]
+    rest = walked(story, MOVES[known:], known)
+    assert [step.content() for step in rest] == [step.content() for step in calm[known:]]
+
+
+def test_a_designer_may_go_on_where_its_checkpoint_is() -> None:
+    """The lane is taken to where the steps before led; what was computed is not computed again."""
+    calm = walked(Story(), MOVES)
+    story = gone_on(calm)
+    story.numbers["one", 0] = 4
+    assert story.act(**MOVES[4]) == [a.Again(calm[4])]
+    story.numbers["one", 0] = len(MOVES)
+    (again,) = told(story.act(design=calm[1].design))
+    assert again.cached
+    assert again.uniformity == calm[1].uniformity
+
+
+def test_a_designer_that_walks_otherwise_is_refused() -> None:
+    """The design it asks for, the one on record; asked for rightly it goes on."""
+    calm = walked(Story(), MOVES)
+    story = gone_on(calm)
+    with pytest.raises(InputError, match="as on record"):
+        story.act(design=DESIGN.model_copy(update={"distance_um": 140.0}))
+    assert story.act(**MOVES[0]) == [a.Again(calm[0])]
+    story.numbers["one", 0] = len(MOVES) + 3
+    with pytest.raises(InputError, match="numbered from 0"):
+        story.act(design=DESIGN)
