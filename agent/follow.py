@@ -33,7 +33,6 @@ from luxloop.bus.zenoh_bus import ZenohBus
 from luxloop.campaign import RunId, Step
 from luxloop.endpoint import listening
 from luxloop.errors import InputError, RemoteError
-from luxloop.failure import Failure
 from luxloop.journal.reader import RunJournal, segments_of
 from luxloop.journal.scan import Scan
 from luxloop.journal.segment import being_written
@@ -42,7 +41,7 @@ from luxloop.messages import Replayed
 from luxloop.settings import Settings
 
 LOOK_S = 0.2  # how often a file that does not grow is looked at again
-AWAY_S = 10.0  # a router that is away for longer ends a replay
+AWAY_S = 5.0  # a router that is away for longer has ended the replay that was heard
 TOPICS = frozenset({"/step", "/agent", "/log"})
 
 Say = Callable[[str], None]
@@ -113,9 +112,9 @@ class Listener:
     missed: int = 0
 
     def records(self) -> Iterator[Record]:
-        """The records as they are played, until the player says that it is over, or has gone.
+        """The records as they are played, until the player says that it is over, or it or the router has gone.
 
-        Raises RemoteError no_router where the router stays away.
+        Before anything was heard it is waited for, however long.
         """
         inbox = Inbox()
         self.bus.subscribe(at(self.realm, "replay", name=self.run), inbox)
@@ -124,11 +123,10 @@ class Listener:
         heard_s = time.monotonic()
         while True:
             event = inbox.take(LOOK_S)
-            if event is not None or self.bus.connected():
+            if event is not None or expected is None or self.bus.connected():
                 heard_s = time.monotonic()
-            elif time.monotonic() - heard_s > AWAY_S:
-                raise RemoteError(Failure(code="no_router", message=f"the router is away for {AWAY_S:g} s"))
-            if isinstance(event, Presence) and not event.alive:
+            gone = isinstance(event, Presence) and not event.alive
+            if gone or time.monotonic() - heard_s > AWAY_S:
                 return
             if not isinstance(event, Heard):
                 continue
@@ -182,10 +180,8 @@ def follow_replay(settings: Settings, source: str, *, as_json: bool, show: bool)
     run = name_of(source)
     say = _say if not as_json else lambda _: None
     say(f"waiting for a replay of {run} at {settings.router}: luxloop audit replay {run} --level 5")
-    while not listening(settings.router):
-        time.sleep(LOOK_S)
     write, seen = Writer(as_json), Seen()
-    with ZenohBus(settings) as bus, live(show, source, 0, None) as look:
+    with _joined(settings) as bus, live(show, source, 0, None) as look:
         listener = Listener(bus, settings.realm, run)
         for entry in listener.records():
             if entry.topic in TOPICS and seen.take(entry) is not None:
@@ -193,6 +189,18 @@ def follow_replay(settings: Settings, source: str, *, as_json: bool, show: bool)
                 if not show:
                     write.step(entry, seen)
     write.replay_end(source, seen, listener)
+
+
+def _joined(settings: Settings) -> ZenohBus:
+    """A session at the router, as soon as there is one."""
+    while True:
+        while not listening(settings.router):
+            time.sleep(LOOK_S)
+        try:
+            return ZenohBus(settings)
+        except RemoteError as error:  # it went as we came
+            if error.failure.code != "no_router":
+                raise
 
 
 def name_of(source: str) -> str:

@@ -7,15 +7,15 @@ walks on. Steps that are on record come back as they were, so the run ends as if
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from pathlib import Path
 
 from agent.campaign import INTERRUPTED, Past, WalkEnd
 from agent.config import Campaign
 from agent.launch import Launched, Start, warn
-from agent.recorded import Recorded, recorded
+from agent.recorded import Recorded, Told, recorded
 from luxloop import __version__
 from luxloop.errors import InputError, LuxloopError
-from luxloop.journal.reader import RunJournal
 from luxloop.model import Model
 from luxloop.model_file import diff, find_model, parse_toml
 from luxloop.settings import Settings, usable_cache
@@ -45,7 +45,7 @@ def resume(
     campaign = parse(Campaign, json.loads(run.attachments["campaign.json"]), "campaign.json")
     usable_cache(settings)
     steps = tuple(told.step for told in run.told)
-    past = Past(sum(not step.final for step in steps), wall_s(folder), WalkEnd.among(run.lines))
+    past = Past(sum(not step.final for step in steps), wall_s(run.told), WalkEnd.among(run.lines))
     return Start(settings, campaign, run.plan, model, steps, past, local=local, show=show).go()
 
 
@@ -80,10 +80,10 @@ def refuse_changed(recorded_model: Model, source: str) -> None:
     raise InputError("--model", source, "the model that the run was begun with", mend)
 
 
-def wall_s(folder: Path) -> float:
-    """How long the run's earlier starts took: in each segment from the first record to the last."""
-    total_ns = 0
-    for segment in RunJournal(folder).segments:
-        times = [entry.log_time_ns for entry in segment.records(["/step"])]
-        total_ns += max(times) - min(times) if times else 0
+def wall_s(told: Iterable[Told]) -> float:
+    """For how long the run had something under way: pauses between its starts do not count."""
+    total_ns = reached_ns = 0
+    for one in sorted(told, key=lambda one: one.time_ns):
+        begun_ns = max(reached_ns, one.time_ns - round(one.step.controller_s * 1e9))
+        total_ns, reached_ns = total_ns + one.time_ns - begun_ns, one.time_ns
     return total_ns / 1e9

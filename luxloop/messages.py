@@ -12,7 +12,7 @@ from typing import ClassVar, Literal, Protocol
 from pydantic import Field, model_validator
 
 from luxloop import __version__
-from luxloop.campaign import Action, Begin, Begun, End, Ended, Note, Step
+from luxloop.campaign import Action, Begin, Begun, End, Ended, Note, RunId, Step
 from luxloop.errors import InputError
 from luxloop.failure import Failure
 from luxloop.words import Name, Plain, Sha256, Text, Words, sha256_of
@@ -249,11 +249,24 @@ class BlobPiece(Words):
     total_bytes: int
 
 
+class Replayed(Words):
+    """A record of a journal that is played back; its bytes are the frame's arrays, one after the other.
+
+    `place` counts what the player has published, so that a listener knows what it missed.
+    """
+
+    run: RunId
+    place: int = Field(ge=0)
+    topic: Text = Field("", description="Of the record; empty: the replay is over.")
+    sequence: int = Field(0, ge=0)
+    log_time_ns: int = Field(0, ge=0)
+
+
 MESSAGES: dict[str, type[Words]] = {
     model.__name__: model
     for model in (
         Failure, Submit, Outcome, Pending, Withdraw, Hello, Welcome, Pull, Lease, Nothing, Done, Receipt,
         Heartbeat, Cancel, Introduce, StatusAsked, Status, BlobAsked, BlobPiece,
-        Begin, Begun, Action, Step, Note, End, Ended,
+        Begin, Begun, Action, Step, Note, End, Ended, Replayed,
     )
 }  # fmt: skip

@@ -12,10 +12,11 @@ from collections import deque
 from collections.abc import Iterable, Iterator
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from mcap.data_stream import ReadDataStream
-from mcap.records import Chunk, Message
+from mcap.records import Attachment, Chunk, Message, Metadata
 from mcap.stream_reader import breakup_chunk
 from mcap.summary import Summary
 from numpy.typing import NDArray
@@ -23,7 +24,7 @@ from numpy.typing import NDArray
 from luxloop.campaign import Step
 from luxloop.errors import InputError, LuxloopError
 from luxloop.journal.chain import Mark
-from luxloop.journal.scan import BROKEN, Scan, record_of, summary_of
+from luxloop.journal.scan import BROKEN, Scan, record_of, refuse_foreign, summary_of
 from luxloop.journal.segment import FORMAT, PATTERN, being_written
 from luxloop.journal.topics import CHAIN, TOPICS, LearnerRecord, Record
 
@@ -47,13 +48,30 @@ class SegmentReader:
 
     @cached_property
     def opening(self) -> tuple[dict[str, dict[str, str]], dict[str, bytes]]:
-        """Metadata and attachments, by name; empty where not even they were committed."""
+        """Metadata and attachments, by name, of several starts the last one's; empty where none were committed."""
+        if self.index is not None:
+            return self._indexed_opening(self.index)
         first = next(iter(Scan(self.path)), None)
         kinds: dict[str, dict[str, bytes]] = {"metadata": {}, "attachment": {}}
         for link in first.links if first else ():
             kind, _, name = link.topic.partition("/")
             kinds[kind][name] = link.data
         return {name: json.loads(data) for name, data in kinds["metadata"].items()}, kinds["attachment"]
+
+    def _indexed_opening(self, index: Summary) -> tuple[dict[str, dict[str, str]], dict[str, bytes]]:
+        def read(kind: type[Metadata] | type[Attachment], offset: int) -> Any:
+            file.seek(offset + RECORD_HEAD_BYTES)
+            return kind.read(ReadDataStream(file))
+
+        with self.path.open("rb") as file:
+            refuse_foreign(file)
+            try:
+                metadata = [read(Metadata, place.offset) for place in index.metadata_indexes]
+                attached = [read(Attachment, place.offset) for place in index.attachment_indexes]
+            except BROKEN as error:
+                raise self._damaged(error) from error
+        facts = {item.name: item.metadata for item in metadata if item.name != "chain"}
+        return facts, {item.name: item.data for item in attached}
 
     def records(self, topics: Iterable[str] = ()) -> Iterator[Record]:
         """The records of these topics (all but `/chain` where none is named), in the order of writing.
@@ -92,12 +110,15 @@ class SegmentReader:
                 try:
                     parts = breakup_chunk(Chunk.read(ReadDataStream(file)), validate_crc=True)
                 except BROKEN as error:
-                    raise LuxloopError(f"{self.path}: damaged ({error}); see `luxloop audit verify`") from error
+                    raise self._damaged(error) from error
                 yield [
                     record_of(part, wanted)
                     for part in parts
                     if isinstance(part, Message) and part.channel_id in wanted
                 ]
+
+    def _damaged(self, error: Exception) -> LuxloopError:
+        return LuxloopError(f"{self.path}: damaged ({error}); see `luxloop audit verify`")
 
 
 class RunJournal:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -53,23 +53,27 @@ class Scan:
 
     `finished`: it was closed with index and root, `final`. Else `torn`: it breaks off, as after a kill, with
     `left_bytes` after the `read_bytes` to the last commit. `fault` says what is wrong with it otherwise. `before` is
-    the mark from which its chain goes on, as it says itself.
+    the mark from which its chain goes on, as it says itself. A compacted segment holds the openings of several
+    starts, each where the chain had come to.
+
+    With `more`, a file that grows is read as it grows: where it ends too early, `more` waits a little and says
+    whether to look again.
     """
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
+    def __init__(self, path: Path, more: Callable[[], bool] | None = None) -> None:
+        self.path, self._more = path, more
         self.finished, self.torn, self.fault = False, False, ""
         self.before, self.final = Mark(), Mark()
         self.read_bytes = self.left_bytes = 0
         self._channels: dict[int, str] = {}
         self._pending: list[Link] = []
-        self._count = 0
+        self._mark: Mark | None = None
 
     def __iter__(self) -> Iterator[Commit]:
         """Raises InputError where the file is no segment of a journal, OSError where it cannot be read."""
         with self.path.open("rb") as file:
-            _refuse_foreign(file)
-            bounded = _Bounded(file)
+            refuse_foreign(file)
+            bounded = _Bounded(file, self._more)
             try:
                 stream = StreamReader(cast(IO[bytes], bounded), False, True, True, RECORD_LIMIT_BYTES)
                 for item in stream.records:
@@ -91,8 +95,7 @@ class Scan:
                 self.final = _mark(item.metadata["records"], item.metadata["root"])
             case Metadata():
                 if item.name == "run":
-                    self.before = _mark(item.metadata["records_before"], item.metadata["root_before"])
-                    self._count = self.before.records
+                    self._start(_mark(item.metadata["records_before"], item.metadata["root_before"]))
                 self._pending.append(metadata_link(item.name, item.metadata))
             case Attachment():
                 self._pending.append(attachment_link(item.name, item.log_time, item.data))
@@ -108,16 +111,24 @@ class Scan:
             case _:
                 pass
 
+    def _start(self, before: Mark) -> None:
+        """An opening: the file's first, or of a later start, which must go on where the one before ended."""
+        if self._mark is None:
+            self.before = self._mark = before
+        elif self._pending or before != self._mark:
+            raise ValueError(f"a start after {before.records} records, where {self._mark.records} were committed")
+
     def _message(self, message: Message) -> Iterator[Commit]:
         entry = record_of(message, self._channels)
         if entry.topic != CHAIN:
             self._pending.append(entry)
             return
         mark = Mark(entry.value.records, entry.value.root)
-        if mark.records != self._count + len(self._pending):
-            raise ValueError(f"{mark.records} records are counted where {self._count + len(self._pending)} were read")
+        seen = (self._mark or Mark()).records + len(self._pending)
+        if mark.records != seen:
+            raise ValueError(f"{mark.records} records are counted where {seen} were read")
         yield Commit(tuple(self._pending), mark, entry)
-        self._pending, self._count = [], mark.records
+        self._pending, self._mark = [], mark
 
     def _end(self, file: IO[bytes]) -> None:
         """The file was read to its end: what must be true of a finished one."""
@@ -158,7 +169,7 @@ def _mark(records: str, root: str) -> Mark:
     return Mark(checked.records, checked.root)
 
 
-def _refuse_foreign(file: IO[bytes]) -> None:
+def refuse_foreign(file: IO[bytes]) -> None:
     """Raise InputError for an MCAP file that somebody else wrote."""
     header = None
     with suppress(*BROKEN):  # what is wrong with it is said by whoever reads on
@@ -169,12 +180,16 @@ def _refuse_foreign(file: IO[bytes]) -> None:
 
 
 class _Bounded:
-    """A file as long as it was when it was opened: its writer may be at work."""
+    """A file as long as it was when it was opened, for its writer may be at work; or, with `more`, as it gets."""
 
-    def __init__(self, file: IO[bytes]) -> None:
-        self._file, self.size_bytes = file, os.fstat(file.fileno()).st_size
+    def __init__(self, file: IO[bytes], more: Callable[[], bool] | None) -> None:
+        self._file, self._more, self.size_bytes = file, more, os.fstat(file.fileno()).st_size
 
     def read(self, size: int) -> bytes:
+        again = self._more is not None
+        while again and size > self.size_bytes - self._file.tell():
+            again = self._more is not None and self._more()
+            self.size_bytes = os.fstat(self._file.fileno()).st_size
         left = self.size_bytes - self._file.tell()
         return self._file.read(left if size < 0 else min(size, left))
 

@@ -11,10 +11,11 @@ from __future__ import annotations
 
 import errno
 import fcntl
+import json
 import os
 import time
-from collections.abc import Mapping
-from contextlib import suppress
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, cast
 
@@ -32,6 +33,69 @@ FORMAT = "1"
 SIDE_FILE = "audit.sha256"
 PATTERN = "audit-*.mcap"
 CHUNK_BYTES = 256 << 10
+SPILL_BYTES = 16 << 20  # waits in memory at most while a whole segment is copied
+
+
+class SegmentFile:
+    """The MCAP file of a segment: links go in as they are and where they are; the chain is the caller's business."""
+
+    def __init__(self, path: Path, chunk_bytes: int = CHUNK_BYTES) -> None:
+        """Opens a new file. Raises FileExistsError where there is one."""
+        self._channels: dict[str, int] = {}
+        self._file = _DurableFile(path)
+        stream = cast(IO[bytes], self._file)
+        self._writer = Writer(stream, chunk_bytes, CompressionType.ZSTD, enable_data_crcs=True)
+        self._writer.start(PROFILE, f"luxloop {__version__}")
+
+    def add(self, link: Link) -> None:
+        """Append a record, metadata or an attachment, as `metadata_link` and `attachment_link` made it."""
+        if isinstance(link, Record):
+            channel = self._channels.get(link.topic) or self._register(link.topic)
+            self._writer.add_message(channel, link.log_time_ns, link.data, link.log_time_ns, link.sequence)
+            return
+        self._end_chunk()  # records wait in one; these do not
+        kind, _, name = link.topic.partition("/")
+        if kind == "metadata":
+            self._writer.add_metadata(name, json.loads(link.data))
+        else:
+            self._writer.add_attachment(0, link.log_time_ns, name, "application/octet-stream", link.data)
+
+    def sync(self) -> None:
+        """Make all that was added durable."""
+        self._end_chunk()
+        self._file.sync()
+
+    def spill(self) -> None:
+        """Write out what waits in memory where that is much, but for the chunk that is being filled."""
+        if self._file.waiting_bytes > SPILL_BYTES:
+            self._file.sync()
+
+    def finish(self, mark: Mark) -> None:
+        """Write the root of the chain, index and checksums, and close."""
+        try:
+            self._writer.add_metadata("chain", {"records": str(mark.records), "root": mark.root})
+            self._writer.finish()  # type: ignore[no-untyped-call]  # mcap leaves its return type open
+            self._file.sync()
+        finally:
+            self.close()
+
+    def close(self) -> None:
+        """Let go of the file."""
+        self._file.close()
+
+    def _end_chunk(self) -> None:
+        self._writer.flush()  # type: ignore[no-untyped-call]  # mcap leaves its return type open
+
+    def _register(self, topic: str) -> int:
+        kind = TOPICS[topic]
+        if isinstance(kind, str):
+            encoding, described = "protobuf", (kind, "protobuf", descriptor_set(kind))
+        else:
+            schema = canonical(flat_schema(kind))
+            encoding, described = "json", (f"luxloop.{kind.__name__}", "jsonschema", schema)
+        number, facts = self._writer.register_schema(*described), CHANNEL_FACTS.get(topic, {})
+        self._channels[topic] = self._writer.register_channel(topic, encoding, number, facts)
+        return self._channels[topic]
 
 
 class Segment:
@@ -45,20 +109,16 @@ class Segment:
         `before` is how far the chain has come in the segments before this one.
         """
         self.path, self.mark = path, before
-        self._channels: dict[str, int] = {}
         self._last = 0, time.time_ns()
-        self._file = _DurableFile(path)
-        stream = cast(IO[bytes], self._file)
-        self._writer = Writer(stream, CHUNK_BYTES, CompressionType.ZSTD, enable_data_crcs=True)
+        self._file = SegmentFile(path)
         ours = {"journal": FORMAT, "records_before": str(before.records), "root_before": before.root}
         try:
-            self._writer.start(PROFILE, f"luxloop {__version__}")
             for name, facts in {"run": {}, **metadata}.items():
-                self._add_metadata(name, {**facts, **(ours if name == "run" else {})})
+                self._add(metadata_link(name, {**facts, **(ours if name == "run" else {})}))
             for name, data in attachments.items():
-                self._add_attachment(name, data)
+                self._add(attachment_link(name, time.time_ns(), data))
             self.commit()
-            _sync_folder(path.parent)
+            sync_folder(path.parent)
         except BaseException:
             self.close()
             path.unlink(missing_ok=True)
@@ -66,25 +126,21 @@ class Segment:
 
     def write(self, entry: Record) -> None:
         """Add a record; it counts once it is committed."""
-        self._message(entry)
-        self.mark = self.mark.then([entry])
+        self._add(entry)
         self._last = entry.sequence, entry.log_time_ns
 
     def commit(self) -> None:
         """Make everything that was written durable, with the chain's mark at its end."""
         checkpoint = Checkpoint(records=self.mark.records, root=self.mark.root)
-        self._message(record(CHAIN, checkpoint, *self._last))
-        self._writer.flush()  # type: ignore[no-untyped-call]  # mcap leaves its return type open
+        self._file.add(record(CHAIN, checkpoint, *self._last))
         self._file.sync()
 
     def finish(self) -> Mark:
         """Commit, write index and checksums, and close; the mark is in the metadata `chain` and in the side file."""
         try:
             self.commit()
-            self._writer.add_metadata("chain", {"records": str(self.mark.records), "root": self.mark.root})
-            self._writer.finish()  # type: ignore[no-untyped-call]  # mcap leaves its return type open
-            self._file.sync()
-            _write_side_file(self.path.parent / SIDE_FILE, self.mark)
+            self._file.finish(self.mark)
+            write_side_file(self.path.parent, self.mark)
         finally:
             self.close()
         return self.mark
@@ -93,29 +149,9 @@ class Segment:
         """Let go of the file; without `finish` it ends after the last commit, as after a crash."""
         self._file.close()
 
-    def _message(self, entry: Record) -> None:
-        channel = self._channels.get(entry.topic) or self._register(entry.topic)
-        self._writer.add_message(channel, entry.log_time_ns, entry.data, entry.log_time_ns, entry.sequence)
-
-    def _register(self, topic: str) -> int:
-        kind = TOPICS[topic]
-        if isinstance(kind, str):
-            encoding, described = "protobuf", (kind, "protobuf", descriptor_set(kind))
-        else:
-            schema = canonical(flat_schema(kind))
-            encoding, described = "json", (f"luxloop.{kind.__name__}", "jsonschema", schema)
-        number, facts = self._writer.register_schema(*described), CHANNEL_FACTS.get(topic, {})
-        self._channels[topic] = self._writer.register_channel(topic, encoding, number, facts)
-        return self._channels[topic]
-
-    def _add_metadata(self, name: str, facts: Mapping[str, str]) -> None:
-        self._writer.add_metadata(name, dict(facts))
-        self.mark = self.mark.then([metadata_link(name, facts)])
-
-    def _add_attachment(self, name: str, data: bytes) -> None:
-        now_ns = time.time_ns()
-        self._writer.add_attachment(0, now_ns, name, "application/octet-stream", data)
-        self.mark = self.mark.then([attachment_link(name, now_ns, data)])
+    def _add(self, link: Link) -> None:
+        self._file.add(link)
+        self.mark = self.mark.then([link])
 
 
 def metadata_link(name: str, facts: Mapping[str, str]) -> Link:
@@ -138,6 +174,20 @@ def being_written(path: Path) -> bool:
     return False
 
 
+@contextmanager
+def held(path: Path) -> Iterator[bool]:
+    """While inside, the segment seems to be written, so that nobody else goes on with the run; False where it is."""
+    with path.open("rb") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            free = True
+        except BlockingIOError:
+            free = False
+        except OSError:  # a file system without locks
+            free = True
+        yield free
+
+
 class _DurableFile:
     """A new file whose bytes wait in memory until `sync`; what fails to be written whole is taken back."""
 
@@ -151,6 +201,10 @@ class _DurableFile:
     def write(self, data: bytes) -> int:
         self._waiting += data
         return len(data)
+
+    @property
+    def waiting_bytes(self) -> int:
+        return len(self._waiting)
 
     def tell(self) -> int:
         return self._safe_bytes + len(self._waiting)
@@ -178,18 +232,29 @@ class _DurableFile:
         self._raw.close()
 
 
-def _write_side_file(path: Path, mark: Mark) -> None:
-    """The mark in a file of its own, replaced as a whole."""
+def write_side_file(folder: Path, mark: Mark) -> None:
+    """Put the mark in a file of its own, replaced as a whole."""
+    path = folder / SIDE_FILE
     fresh = path.with_name(f".{path.name}.new")
     with fresh.open("w") as file:
         file.write(f"{mark.root} {mark.records}\n")
         file.flush()
         os.fsync(file.fileno())
     fresh.replace(path)
-    _sync_folder(path.parent)
+    sync_folder(folder)
 
 
-def _sync_folder(folder: Path) -> None:
+def read_side_file(folder: Path) -> Mark | None:
+    """The mark in the side file; None where there is none. Raises ValueError or OSError where it cannot be read."""
+    try:
+        root, _, records = (folder / SIDE_FILE).read_text().strip().partition(" ")
+    except FileNotFoundError:
+        return None
+    return Mark(int(records), root)
+
+
+def sync_folder(folder: Path) -> None:
+    """Make names in a folder durable: new ones, and those that changed."""
     handle = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(handle)

@@ -16,10 +16,13 @@ import pytest
 from agent.checkpoints import FOLDER
 from agent.config import Campaign, Stop
 from agent.launch import Launched, launch
-from agent.resume import resume
+from agent.recorded import Told
+from agent.resume import resume, wall_s
 from env_controller.audit.checks import exit_code, verify
 from env_controller.audit.contents import Contents
+from luxloop.campaign import Step
 from luxloop.client import Client
+from luxloop.design import Design
 from luxloop.door import RunDoor
 from luxloop.errors import InputError, RemoteError
 from luxloop.journal.reader import RunJournal
@@ -30,6 +33,7 @@ from tests.running_set import RunningSet
 
 PRETEND = str(Path(__file__).parents[1] / "pretend_worker.py")
 EVALUATIONS = 90
+DESIGN = Design.from_vector((150.0, 30.0, 500.0, 20.0, 5.5))
 
 
 @pytest.fixture
@@ -229,3 +233,12 @@ def test_a_run_of_another_release_or_none_is_refused(running: RunningSet, tmp_pa
         nobody = plan.model_copy(update={"run": "nobody"})
         with pytest.raises(RemoteError, match="folder of a run"):
             RunDoor.begin(client, nobody, resume=True)
+
+
+def test_the_time_that_counts_is_that_with_something_under_way() -> None:
+    """Two lanes at once, a pause of an hour, one more step: 3 s, then 2 s."""
+    step = Step(run="a", lane=0, number=0, design=DESIGN, state=(0.0,) * 5, uniformity=0.5, reward=0.0)
+    times = ((1.5, 1.5), (3.0, 2.5), (3603.0, 2.0))
+    told = [Told(step.model_copy(update={"controller_s": took}), 0, round(1e9 * at), None) for at, took in times]
+    assert wall_s(told) == pytest.approx(5.0)
+    assert wall_s([]) == 0.0

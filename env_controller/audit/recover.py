@@ -1,0 +1,219 @@
+"""Saves what a damaged or unfinished journal still holds: all that was committed before it breaks off.
+
+    recover(run, out)        # the segments of `run` are read, those in `out` are new; nothing of `run` is touched
+
+What is written has the links and roots of what was read, as far as that goes, so a root that left the machine still
+holds. The chain ends where a batch is missing or cannot be read: what lies behind it, in that file or in later ones,
+cannot be shown to belong to what lies before and is not passed off as good. It stays in the original.
+"""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from luxloop.errors import InputError, LuxloopError
+from luxloop.journal.chain import Mark
+from luxloop.journal.reader import SegmentReader, number_of, segments_of
+from luxloop.journal.scan import Commit, Scan
+from luxloop.journal.segment import (
+    PATTERN,
+    SIDE_FILE,
+    SegmentFile,
+    being_written,
+    read_side_file,
+    sync_folder,
+    write_side_file,
+)
+
+WHOLE, FAILED, LOSS, CHANGED = 0, 1, 3, 5
+
+
+@dataclass
+class Part:
+    """One segment: how many of its records were saved, up to which byte it was read, how many are behind that."""
+
+    file: str
+    records: int = 0
+    read_bytes: int = 0
+    left_bytes: int = 0
+    found: str = ""
+
+
+@dataclass
+class Recovery:
+    """What was saved where, how far the chain goes, what is lost, and what is not what was written."""
+
+    folder: Path
+    out: Path
+    mark: Mark = field(default_factory=Mark)
+    parts: list[Part] = field(default_factory=list)
+    lost: list[str] = field(default_factory=list)
+    changed: list[str] = field(default_factory=list)
+    segments: int = 0
+    kept: Mark | None = None
+    kept_met: bool = False
+    kept_fault: str = ""
+
+    @property
+    def exit_code(self) -> int:
+        """0 nothing was missing, 1 nothing saved, 3 saved with loss, 5 what was read is not what was written."""
+        if self.changed:
+            return CHANGED
+        if not self.mark.records:
+            return FAILED
+        return LOSS if self.lost else WHOLE
+
+    def document(self) -> dict[str, Any]:
+        """As one object for machines."""
+        return {
+            "folder": str(self.folder),
+            "out": str(self.out),
+            "exit": self.exit_code,
+            "records": self.mark.records,
+            "root": self.mark.root,
+            "segments": [asdict(part) for part in self.parts],
+            "lost": self.lost,
+            "changed": self.changed,
+        }
+
+
+def recover(folder: Path, out: Path | None = None) -> Recovery:
+    """Write what can be read of the run in `folder` into `out`, else into `<run>-recovered` beside it.
+
+    Raises InputError where there is no journal, where it is being written (naming by whom), where a file is another
+    program's, and where `out` holds something already.
+    """
+    paths = segments_of(folder)
+    if not paths:
+        raise InputError("RUN", str(folder), "the folder of a run with its journal", f"there is no {PATTERN} in it")
+    if being_written(paths[-1]):
+        raise InputError("RUN", str(folder), "a run that nobody writes", f"end {owner_of(paths[-1])} first")
+    out = out or folder.resolve().with_name(f"{folder.resolve().name}-recovered")
+    if out.exists() and not (out.is_dir() and not any(out.iterdir())):
+        raise InputError("--out", str(out), "a folder that is empty or not there", "name another by --out")
+    out.mkdir(parents=True, exist_ok=True)
+    recovery = Recovery(folder, out)
+    _kept(recovery)
+    _save_all(paths, recovery)
+    if recovery.mark.records:
+        write_side_file(out, recovery.mark)
+    else:
+        out.rmdir()
+    return recovery
+
+
+def owner_of(path: Path) -> str:
+    """Who writes a segment, as far as its opening says."""
+    facts: dict[str, str] = {}
+    with suppress(LuxloopError):
+        facts = SegmentReader(path).opening[0].get("environment", {})
+    return f"the controller that writes it (process {facts.get('pid', '?')} on {facts.get('host', '?')})"
+
+
+def _kept(recovery: Recovery) -> None:
+    """The mark that the run's side file keeps."""
+    try:
+        recovery.kept = read_side_file(recovery.folder)
+    except (OSError, ValueError) as error:
+        recovery.kept_fault = f"{SIDE_FILE} cannot be read ({error}): whether a tail is missing is not known"
+
+
+def _save_all(paths: list[Path], recovery: Recovery) -> None:
+    """Segment after segment, for as long as each goes on where the chain has come to."""
+    for place, path in enumerate(paths, 1):
+        if recovery.lost or recovery.changed:
+            break
+        part = Part(path.name)
+        recovery.parts.append(part)
+        scan = Scan(path)
+        if number_of(path) != place:
+            part.found = f"segment {place} is missing before it"
+            recovery.lost.append(f"{path.name} and what follows: {part.found}")
+        else:
+            _save(scan, part, recovery)
+        part.left_bytes = 0 if scan.finished else path.stat().st_size - part.read_bytes
+        if not (recovery.lost or recovery.changed):
+            _look_at_end(scan, part, recovery, last=path == paths[-1])
+    for path in paths[len(recovery.parts) :]:
+        part = Part(path.name, left_bytes=path.stat().st_size, found="not joined to what was saved")
+        recovery.parts.append(part)
+    _compare_kept(recovery)
+
+
+def _save(scan: Scan, part: Part, recovery: Recovery) -> None:
+    """Write a segment anew as far as its chain holds."""
+    file: SegmentFile | None = None
+    path = recovery.out / f"audit-{recovery.segments + 1:04}.mcap"
+    try:
+        for commit in scan:
+            if not _follows(scan, commit, part, recovery):
+                break
+            file = file or SegmentFile(path)
+            for link in (*commit.links, commit.checkpoint):
+                file.add(link)
+            file.spill()
+            part.records += len(commit.links)
+            recovery.mark = commit.mark
+            recovery.kept_met = recovery.kept_met or commit.mark == recovery.kept
+        part.read_bytes = scan.read_bytes if file else 0
+        if file is not None:
+            file.finish(recovery.mark)
+            sync_folder(recovery.out)
+            recovery.segments += 1
+    except BaseException:
+        path.unlink(missing_ok=True)
+        raise
+    finally:
+        if file is not None:
+            file.close()
+
+
+def _follows(scan: Scan, commit: Commit, part: Part, recovery: Recovery) -> bool:
+    """Whether a commit goes on where the chain has come to; if not, that is put down."""
+    mark, before = recovery.mark, scan.before
+    if not part.records and before != mark:
+        part.found = f"goes on after {before.records:,} records, where {mark.records:,} were saved"
+        if before.records > mark.records:
+            lost = f"{before.records - mark.records:,} records after record {mark.records:,}"
+            recovery.lost.append(f"{lost}, and {part.file} and what follows, which cannot be joined")
+        else:
+            recovery.changed.append(f"{part.file} {part.found}, or of another root")
+        return False
+    if mark.then(commit.links) == commit.mark:
+        return True
+    part.found = f"records {mark.records + 1:,} to {commit.mark.records:,} are not what was written"
+    recovery.changed.append(f"{part.file}: {part.found}")
+    return False
+
+
+def _look_at_end(scan: Scan, part: Part, recovery: Recovery, *, last: bool) -> None:
+    """How a segment ends whose commits were all saved; for one that is not the last, the next one says the rest."""
+    complete = scan.final == recovery.mark
+    if scan.finished:
+        part.found = "finished"
+        if not complete:
+            recovery.changed.append(f"{part.file}: ends after {recovery.mark.records:,} records, states another root")
+        return
+    part.found = f"damaged: {scan.fault}" if scan.fault else "not finished"
+    if complete:
+        part.found += "; no record is missing"
+    elif last and (scan.fault or part.left_bytes):
+        why = scan.fault or "a batch that was cut off, or never acknowledged"
+        behind = f"{part.left_bytes:,} bytes behind record {recovery.mark.records:,}"
+        recovery.lost.append(f"{part.file}: {behind}: {why}")
+
+
+def _compare_kept(recovery: Recovery) -> None:
+    """Whether the saved chain holds the mark that the side file keeps."""
+    kept = recovery.kept
+    recovery.lost += [recovery.kept_fault] * bool(recovery.kept_fault)
+    if kept is None or recovery.kept_met:
+        return
+    if kept.records > recovery.mark.records:
+        missing = f"{kept.records - recovery.mark.records:,} records after record {recovery.mark.records:,}"
+        recovery.lost.append(f"{missing}, of the {kept.records:,} that {SIDE_FILE} states")
+    else:
+        recovery.changed.append(f"{SIDE_FILE} states another root after {kept.records:,} records")
