@@ -13,6 +13,7 @@ from luxloop.settings import Settings, load_settings, usable_cache
 
 if TYPE_CHECKING:
     from luxloop.bus import Bus
+    from luxloop.bus.access import Role
     from luxloop.computation import Computation
 
 Router = Annotated[str | None, typer.Option(help="Endpoint of the router (else LUXLOOP_ROUTER).")]
@@ -25,7 +26,7 @@ def thin_film(router: Router = None, quiet: Quiet = False) -> None:
     from containers.thin_film.worker import FilmComputation
 
     computation = FilmComputation.in_folder(cache)
-    _serve(settings, lambda _: computation, f"database in {cache}", quiet)
+    _serve("thin-film", settings, lambda _: computation, f"database in {cache}", quiet)
 
 
 def ray_tracing(router: Router = None, quiet: Quiet = False) -> None:
@@ -43,7 +44,7 @@ def ray_tracing(router: Router = None, quiet: Quiet = False) -> None:
     def computation(bus: Bus) -> Computation:
         return RayComputation(fetcher(bus, settings.realm, BlobStore(cache / "blobs")), source, threads)
 
-    _serve(settings, computation, f"{threads} threads", quiet)
+    _serve("ray-tracing", settings, computation, f"{threads} threads", quiet)
 
 
 def _prepared(router: str | None) -> tuple[Settings, Path]:
@@ -54,14 +55,16 @@ def _prepared(router: str | None) -> tuple[Settings, Path]:
     return settings, cache
 
 
-def _serve(settings: Settings, computation: Callable[[Bus], Computation], about: str, quiet: bool) -> None:
+def _serve(
+    role: Role, settings: Settings, computation: Callable[[Bus], Computation], about: str, quiet: bool
+) -> None:
     """Work until SIGTERM; the kernels have been compiled or loaded."""
     from containers.compiled import release_compiler_pages
     from luxloop.bus.zenoh_bus import ZenohBus
     from luxloop.worker import Worker
 
     release_compiler_pages()
-    with ZenohBus(settings, patient=True) as bus:
+    with ZenohBus(settings, patient=True, role=role) as bus:
         worker = Worker(computation(bus), bus, settings)
         if not quiet:
             typer.echo(f"{worker.name}: at {settings.router}, {about}", err=True)

@@ -12,7 +12,10 @@ from luxloop.process import orphaned
 from luxloop.settings import load_settings
 
 Router = Annotated[
-    str | None, typer.Option(help="Endpoint, e.g. tcp/127.0.0.1:7447 (else LUXLOOP_ROUTER, else this default).")
+    str | None,
+    typer.Option(
+        help="Endpoint, e.g. tcp/127.0.0.1:7447 (else LUXLOOP_ROUTER, else this default; tls/... with certificates)."
+    ),
 ]
 Quiet = Annotated[bool, typer.Option("--quiet", help="Say nothing on stderr but errors.")]
 
@@ -40,7 +43,7 @@ def controller(router: Router = None, quiet: Quiet = False) -> None:
         pass
     if stop.is_set():
         return
-    with ZenohBus(settings, patient=True) as bus:
+    with ZenohBus(settings, patient=True, role="controller") as bus:
         dispatcher = Dispatcher(bus, settings)
         _tell(quiet, f"controller: epoch {dispatcher.epoch} at {settings.router}")
         dispatcher.run(stop)

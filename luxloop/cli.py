@@ -25,7 +25,7 @@ GROUPS = {
     "serve": "Run one of the processes: router, controller, worker, or all of them on this machine.",
     "campaign": "Let a designer look for better backlights; look at what it found.",
     "designers": "The designers there are, beside each other.",
-    "audit": "Look at a run's journal, and verify it.",
+    "audit": "A run's journal: look at it, verify it, replay it, mend it.",
     "materials": "The optical constants that ship with luxloop.",
     "model": "The model file: make one, look at it, compare versions, go back.",
 }

@@ -24,6 +24,7 @@ from uuid import uuid4
 from luxloop.bus import Interrupt, ask_for
 from luxloop.bus.blobs import fetcher
 from luxloop.bus.frame import Array, Parcel
+from luxloop.bus.identity import Identity, answering
 from luxloop.bus.keys import KEYS, at
 from luxloop.bus.zenoh_bus import ZenohBus
 from luxloop.endpoint import free_loopback, is_loopback, listening
@@ -62,7 +63,7 @@ class Client:
         self._closing = Interrupt()
         self._stack = ExitStack()
         started = False
-        if not listening(settings.router):
+        if not answering(settings, Identity.of(settings, "client")):
             if not (local and is_loopback(settings.router)):
                 raise RemoteError(_nobody(settings))
             settings, started = self._start_local(settings, ray_workers), True

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import tempfile
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 from pydantic import Field, ValidationError, ValidationInfo, field_validator, model_validator
 from pydantic_settings import (
@@ -15,11 +15,12 @@ from pydantic_settings import (
     TomlConfigSettingsSource,
 )
 
-from luxloop.endpoint import checked
+from luxloop.endpoint import checked, fits
 from luxloop.errors import InputError
 from luxloop.words import as_input_error
 
 DEFAULT_ROUTER = "tcp/127.0.0.1:7447"
+DEFAULT_SECURED = "tls/127.0.0.1:7447"
 BEATS_IN_SILENCE = 3.0  # a beat may be late, and one may be lost
 PROBE_BYTES = 1 << 16
 
@@ -38,6 +39,7 @@ class Settings(BaseSettings):
     )
 
     router: str = Field(DEFAULT_ROUTER, description="endpoint of the router")
+    certs: Path | None = Field(None, description="folder of certificates (luxloop certs); none: plain tcp")
     realm: str = Field("luxloop", pattern=r"^[a-z0-9][a-z0-9-]{0,40}$", description="separates sets on one router")
     cache: Path = Field(Path("~/.cache/luxloop"), description="film database, stored arrays, compiled kernels")
     runs: Path = Field(Path("runs"), description="folder of the controller's runs, one folder each")
@@ -55,15 +57,27 @@ class Settings(BaseSettings):
     def _reachable(cls, router: str) -> str:
         return checked(router)
 
-    @field_validator("cache", "runs")
+    @model_validator(mode="before")
     @classmethod
-    def _somebodys(cls, folder: Path, field: ValidationInfo) -> Path:
+    def _encrypted_by_default(cls, given: dict[str, Any]) -> dict[str, Any]:
+        """With certificates and no word about the router, it is at the usual port, but encrypted."""
+        return given if given.get("certs") is None else {"router": DEFAULT_SECURED} | given
+
+    @field_validator("cache", "runs", "certs")
+    @classmethod
+    def _somebodys(cls, folder: Path | None, field: ValidationInfo) -> Path | None:
         try:
-            folder.expanduser()
+            if folder is not None:
+                folder.expanduser()
         except RuntimeError as error:  # ~nosuchuser
             mend = "name it without ~, or give it your own ~/"
             raise InputError(field.field_name or "", str(folder), "a folder", mend) from error
         return folder
+
+    @model_validator(mode="after")
+    def _certificates_fit_the_endpoint(self) -> Self:
+        fits(self.router, self.certs is not None)
+        return self
 
     @model_validator(mode="after")
     def _silence_outlasts_beats(self) -> Self:
@@ -83,6 +97,11 @@ class Settings(BaseSettings):
     def runs_dir(self) -> Path:
         """The folder of runs with `~` expanded."""
         return self.runs.expanduser()
+
+    @property
+    def certs_dir(self) -> Path | None:
+        """The folder of certificates with `~` expanded; None where everything is plain."""
+        return self.certs.expanduser() if self.certs is not None else None
 
     @classmethod
     def settings_customise_sources(
@@ -135,5 +154,6 @@ def _usable(folder: Path, field: str, mend: str) -> Path:
 
 def as_environment(settings: Settings) -> dict[str, str]:
     """The environment for a child process that must see the same settings."""
-    ours = {f"LUXLOOP_{name.upper()}": str(value) for name, value in settings.model_dump(mode="json").items()}
+    values = settings.model_dump(mode="json").items()
+    ours = {f"LUXLOOP_{name.upper()}": "" if value is None else str(value) for name, value in values}
     return {**os.environ, **ours}

@@ -53,5 +53,5 @@ class Pretend:
 
 if __name__ == "__main__":
     chosen = load_settings()
-    with ZenohBus(chosen, patient=True) as bus:
+    with ZenohBus(chosen, patient=True, role="thin-film" if sys.argv[1] == "film" else "ray-tracing") as bus:
         Worker(Pretend(sys.argv[1], float(sys.argv[2]) if len(sys.argv) > 2 else 0.0), bus, chosen).run()

@@ -18,7 +18,9 @@ from typing import Any
 import zenoh
 
 from luxloop.bus import Asked, Heard, Inbox, Interrupt, Presence, busy, too_large
+from luxloop.bus.access import Role, access_control
 from luxloop.bus.frame import FRAME_BYTES
+from luxloop.bus.identity import Identity, answering, refusal
 from luxloop.bus.keys import KEYS, at, name_of
 from luxloop.endpoint import listening
 from luxloop.errors import RemoteError
@@ -26,15 +28,21 @@ from luxloop.failure import Code, Failure
 from luxloop.settings import Settings
 
 LEASE_MS = 4000
+OPEN_MS = 3000
 RECEIVE_BYTES = 4 * FRAME_BYTES  # above what any frame may have, so that a too large one gets a clear answer
 
 
 class ZenohBus:
-    """A zenoh session as a `Bus`. `patient` waits for a router for ever (workers); else `no_router` in 3 s."""
+    """A zenoh session as a `Bus`. `patient` waits for a router for ever (workers); else `no_router` in 3 s.
 
-    def __init__(self, settings: Settings, *, patient: bool = False) -> None:
-        self._settings = settings
-        self._session = _open(_client_config(settings, patient), settings)
+    With LUXLOOP_CERTS it shows the certificate of `role`; a router that does not take it is no reason to wait.
+    """
+
+    def __init__(self, settings: Settings, *, patient: bool = False, role: Role = "client") -> None:
+        self._settings, self._identity = settings, Identity.of(settings, role)
+        if patient:
+            _wait_for_router(settings, self._identity)
+        self._session = _open(_client_config(settings, self._identity, patient), settings, self._identity)
         self._kept: list[Any] = []
         self._closed = False
 
@@ -138,16 +146,17 @@ class ZenohBus:
         if timed_out:
             return Failure(code="timed_out", message=f"no answer within {limit_s:g} s", where=key)
         if not self.connected():
-            return _no_router(self._settings)
+            return _unreachable(self._settings, self._identity)
         row = KEYS.get(name_of(key))
         role = row.answered_by if row else "anybody"
         held = role != "anybody" and self.present(at(self._settings.realm, "alive", role=role))
         code: Code = "no_controller" if role == "controller" else "not_found"
         if not held:
+            may_not = "; is there one, luxloop doctor says what this certificate may see" if self._identity else ""
             return Failure(
                 code=code,
                 message=f"nobody answers at {key}",
-                mend="start one: luxloop serve local" if role == "controller" else "",
+                mend=f"start one: luxloop serve local{may_not}" if role == "controller" else "",
             )
         if took_s < 0.1:
             return Failure(
@@ -160,10 +169,16 @@ class ZenohBus:
 
 
 def run_router(settings: Settings, stop: threading.Event) -> None:
-    """Be the router at `settings.router` until `stop` is set. Raises RemoteError where it cannot listen there."""
-    config = _base_config("router")
+    """Be the router at `settings.router` until `stop` is set; with LUXLOOP_CERTS for known roles only.
+
+    Raises RemoteError where it cannot listen there, InputError where its certificate cannot be used.
+    """
+    identity = Identity.of(settings, "router")
+    config = _base_config("router", identity)
     config.insert_json5("listen", json.dumps({"endpoints": [settings.router], "exit_on_failure": True}))
-    session = _open(config, settings, as_router=True)
+    if identity is not None:
+        config.insert_json5("access_control", json.dumps(access_control()))
+    session = _open(config, settings, identity, as_router=True)
     try:
         stop.wait()
     finally:
@@ -172,8 +187,22 @@ def run_router(settings: Settings, stop: threading.Event) -> None:
         closer.join(3.0)
 
 
-def _base_config(mode: str) -> zenoh.Config:
+def _wait_for_router(settings: Settings, identity: Identity | None) -> None:
+    """Return once a router listens. Raises RemoteError where its certificate and ours do not fit together."""
+    if identity is None:
+        return  # zenoh waits by itself
+    while not answering(settings, identity):
+        time.sleep(0.2)
+    failure = refusal(settings, identity)
+    if failure is not None:
+        raise RemoteError(failure)
+
+
+def _base_config(mode: str, identity: Identity | None) -> zenoh.Config:
     config = zenoh.Config()
+    if identity is not None:
+        config.insert_json5("transport/link/tls", json.dumps(_tls(identity)))
+        config.insert_json5("transport/link/protocols", json.dumps(["tls"]))
     for path, value in {
         "mode": mode,
         "scouting/multicast/enabled": False,
@@ -187,11 +216,19 @@ def _base_config(mode: str) -> zenoh.Config:
     return config
 
 
-def _client_config(settings: Settings, patient: bool) -> zenoh.Config:
-    config = _base_config("client")
+def _tls(identity: Identity) -> dict[str, Any]:
+    """Both sides show a certificate of the one CA; the router's must be for the host that was asked for."""
+    own = str(identity.own)
+    sides = {f"{side}_{what}": own for side in ("listen", "connect") for what in ("certificate", "private_key")}
+    checks = dict.fromkeys(("enable_mtls", "verify_name_on_connect", "close_link_on_expiration"), True)
+    return {"root_ca_certificate": str(identity.ca)} | sides | checks
+
+
+def _client_config(settings: Settings, identity: Identity | None, patient: bool) -> zenoh.Config:
+    config = _base_config("client", identity)
     connect = {
         "endpoints": [settings.router],
-        "timeout_ms": -1 if patient else 3000,
+        "timeout_ms": -1 if patient else OPEN_MS,
         "exit_on_failure": not patient,
         "retry": {"period_init_ms": 100, "period_max_ms": 1000, "period_increase_factor": 2},
     }
@@ -199,7 +236,9 @@ def _client_config(settings: Settings, patient: bool) -> zenoh.Config:
     return config
 
 
-def _open(config: zenoh.Config, settings: Settings, *, as_router: bool = False) -> zenoh.Session:
+def _open(
+    config: zenoh.Config, settings: Settings, identity: Identity | None, *, as_router: bool = False
+) -> zenoh.Session:
     zenoh.init_log_from_env_or("off")  # what goes wrong is said by our own errors; RUST_LOG shows zenoh's side
     try:
         return zenoh.open(config)
@@ -212,7 +251,14 @@ def _open(config: zenoh.Config, settings: Settings, *, as_router: bool = False) 
                     mend="is the port taken? choose another with --router or LUXLOOP_ROUTER",
                 )
             ) from error
-        raise RemoteError(_stranger(settings) if listening(settings.router) else _no_router(settings)) from error
+        raise RemoteError(_unreachable(settings, identity, at_first=True)) from error
+
+
+def _unreachable(settings: Settings, identity: Identity | None, *, at_first: bool = False) -> Failure:
+    """Why there is no session: nobody listens, certificates do not fit, or (at first) it is no router of ours."""
+    if not listening(settings.router):
+        return _no_router(settings)
+    return refusal(settings, identity) or (_stranger(settings) if at_first else _lost(settings))
 
 
 def _no_router(settings: Settings) -> Failure:
@@ -221,6 +267,11 @@ def _no_router(settings: Settings) -> Failure:
         message=f"no router at {settings.router}",
         mend="start one (luxloop serve local) or set LUXLOOP_ROUTER to where it is",
     )
+
+
+def _lost(settings: Settings) -> Failure:
+    mend = "wait: the session comes back by itself within seconds"
+    return Failure(code="no_router", message=f"the session with the router at {settings.router} is lost", mend=mend)
 
 
 def _closed(error: zenoh.ZError) -> Failure:

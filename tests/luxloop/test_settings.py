@@ -160,3 +160,30 @@ def test_an_address_of_another_host_is_refused() -> None:
     """192.0.2.1 is kept for documentation: it is nobody's."""
     with pytest.raises(LuxloopError, match=r"cannot listen at tcp/192\.0\.2\.1:7447: .*--router"):
         refuse_taken("tcp/192.0.2.1:7447")
+
+
+def test_with_certificates_the_router_is_at_a_tls_port(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing said: the usual port, encrypted; a plain endpoint beside them is refused with the endpoint to write."""
+    monkeypatch.setenv("LUXLOOP_CERTS", "certs")
+    assert load_settings().router == "tls/127.0.0.1:7447"
+    assert host_and_port(load_settings(router="tls/router:7448").router) == ("router", 7448)
+    with pytest.raises(InputError, match=r"router: got 'tcp/host:7447'.*write tls/host:7447, or unset LUXLOOP_CERTS"):
+        load_settings(router="tcp/host:7447")
+
+
+def test_a_tls_port_needs_certificates() -> None:
+    """The command that makes them is named."""
+    with pytest.raises(InputError, match=r"router: got 'tls/host:7447'.*luxloop certs"):
+        load_settings(router="tls/host:7447")
+
+
+def test_a_child_process_has_the_certificates_or_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Either comes back equal, also where our own environment says otherwise."""
+    for given in (Settings(certs=Path("c"), router="tls/[::1]:7"), Settings()):
+        monkeypatch.setenv("LUXLOOP_CERTS", "others")
+        environment = as_environment(given)
+        with monkeypatch.context() as child:
+            for name, value in environment.items():
+                child.setenv(name, value)
+            assert load_settings() == given
+        monkeypatch.delenv("LUXLOOP_CERTS")

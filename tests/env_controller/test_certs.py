@@ -1,0 +1,337 @@
+"""The lab's certificates: what a set holds, how it is renewed, what is refused, what the doctor finds."""
+
+from __future__ import annotations
+
+import json
+import os
+import ssl
+import subprocess
+import sys
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import pytest
+from cryptography import x509
+from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
+
+from env_controller import certs as certs_module
+from env_controller.certs import HOSTS, Authority, hosts_of, make, read_certificate, role_file, what_it_lacks
+from luxloop.bus.access import ROLES
+from luxloop.bus.identity import Identity
+from luxloop.bus.zenoh_bus import ZenohBus
+from luxloop.errors import InputError, LuxloopError
+from luxloop.settings import Settings, as_environment
+from tests.secured_set import free_tls_endpoint
+
+DAY = timedelta(days=1)
+
+
+def command(*argv: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    """`luxloop certs ...` as a process of its own."""
+    return subprocess.run(
+        [sys.executable, "-m", "luxloop", "certs", *argv],
+        cwd=cwd,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+
+
+def found_by_the_doctor(folder: Path, *argv: str) -> dict[str, dict[str, Any]]:
+    """What the doctor says of a folder of certificates, by what it looked at; no router is there."""
+    settings = Settings(certs=folder, router=free_tls_endpoint(), cache=folder.parent / "cache")
+    done = subprocess.run(
+        [sys.executable, "-m", "luxloop", "doctor", "--json", *argv],
+        env=as_environment(settings),
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert done.returncode == 1, done.stderr
+    return {finding["what"]: finding for finding in json.loads(done.stdout)["findings"]}
+
+
+@pytest.fixture
+def certs(tmp_path: Path) -> Path:
+    """A whole set."""
+    return make(tmp_path / "certs", days=90).folder
+
+
+class TestASet:
+    """What `luxloop certs` makes."""
+
+    def test_each_role_has_a_certificate_of_the_one_ca(self, certs: Path) -> None:
+        """CN = role, signed by the CA, and the private key in the same file fits; a copy of the CA's beside it."""
+        authority = read_certificate(certs / "ca.pem")
+        for role in ROLES:
+            certificate = read_certificate(role_file(certs, role))
+            certificate.verify_directly_issued_by(authority)
+            (name,) = certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)
+            assert name.value == role
+            assert (certs / role / "ca.pem").read_bytes() == (certs / "ca.pem").read_bytes()
+            ssl.create_default_context(cafile=str(certs / "ca.pem")).load_cert_chain(role_file(certs, role))
+
+    def test_only_the_router_may_serve(self, certs: Path) -> None:
+        """No other role's key can be used to listen in the router's place; all may connect."""
+        for role in ROLES:
+            certificate = read_certificate(role_file(certs, role))
+            usage = set(certificate.extensions.get_extension_for_class(x509.ExtendedKeyUsage).value)
+            assert ExtendedKeyUsageOID.CLIENT_AUTH in usage
+            assert (ExtendedKeyUsageOID.SERVER_AUTH in usage) == (role == "router")
+            assert (hosts_of(certificate) == HOSTS) == (role == "router")
+
+    def test_keys_are_their_owner_s_alone(self, certs: Path) -> None:
+        """0600 for what holds a private key, 0700 for folders, whatever the umask."""
+        holds_key = [path for path in certs.rglob("*") if path.is_file() and b"PRIVATE KEY" in path.read_bytes()]
+        assert {path.name for path in holds_key} == {"ca.key", *(f"{role}.pem" for role in ROLES)}
+        assert {path.stat().st_mode & 0o777 for path in holds_key} == {0o600}
+        folders = [certs, *(path for path in certs.iterdir() if path.is_dir())]
+        assert {path.stat().st_mode & 0o777 for path in folders} == {0o700}
+
+    def test_a_clock_that_is_a_little_behind_takes_it(self, certs: Path) -> None:
+        """Valid from some minutes ago, for the days asked for."""
+        certificate = read_certificate(role_file(certs, "client"))
+        now = datetime.now(UTC)
+        assert certificate.not_valid_before_utc < now - timedelta(minutes=4)
+        assert abs(certificate.not_valid_after_utc - now - 90 * DAY) < timedelta(minutes=1)
+
+    def test_no_certificate_outlives_its_ca(self, certs: Path) -> None:
+        """Asked for more days than the CA has, it ends with the CA."""
+        made = make(certs, days=100_000, renew=True)
+        assert made.valid_until == made.ca_valid_until
+
+
+class TestAgain:
+    """A folder that has a set already."""
+
+    def test_a_set_is_not_overwritten(self, tmp_path: Path, certs: Path) -> None:
+        """Exit code 2, both ways out named, nothing changed."""
+        before = (certs / "ca.pem").read_bytes()
+        done = command("--out", str(certs), cwd=tmp_path)
+        assert done.returncode == 2
+        assert "--renew" in done.stderr
+        assert "--out" in done.stderr
+        assert (certs / "ca.pem").read_bytes() == before
+
+    def test_renewing_keeps_the_ca_and_the_hosts(self, certs: Path) -> None:
+        """New keys for all roles, of the same CA; the router keeps its names and gets the new one."""
+        make(certs, days=90, hosts=("pc1.lab",), renew=True)
+        ca, keys = (certs / "ca.pem").read_bytes(), [role_file(certs, role).read_bytes() for role in ROLES]
+        made = make(certs, days=5, hosts=("10.0.0.5",), renew=True)
+        assert (certs / "ca.pem").read_bytes() == ca
+        assert not set(keys) & {role_file(certs, role).read_bytes() for role in ROLES}
+        assert made.hosts == (*HOSTS, "pc1.lab", "10.0.0.5")
+        assert made.valid_until - datetime.now(UTC) < 6 * DAY
+
+    def test_if_needed_leaves_a_good_set_alone(self, tmp_path: Path, certs: Path) -> None:
+        """For a service that runs at every start: nothing happens until something is due, then it is said."""
+        before = role_file(certs, "router").read_bytes()
+        assert make(certs, days=90, if_needed=True).what == "left as it is"
+        assert role_file(certs, "router").read_bytes() == before
+        assert "pc9" in make(certs, days=90, hosts=("pc9",), if_needed=True).what
+        assert make(certs, days=90, hosts=("pc9",), if_needed=True).what == "left as it is"
+        make(certs, days=5, renew=True)
+        assert "ends on" in make(certs, days=90, if_needed=True).what
+        role_file(certs, "client").write_text("damaged")
+        assert "client.pem is missing or damaged" in make(certs, days=90, if_needed=True).what
+        assert what_it_lacks(certs) == ""
+        assert make(tmp_path / "new", days=90, if_needed=True).what == "made"
+
+    def test_renewing_needs_the_ca_s_key(self, certs: Path) -> None:
+        """Missing, of another set, damaged: named; and no set at all."""
+        (certs / "ca.key").write_bytes(b"damaged")
+        with pytest.raises(InputError, match=r"ca\.key"):
+            make(certs, days=90, renew=True)
+        other = make(certs.parent / "other", days=90).folder
+        (certs / "ca.key").write_bytes((other / "ca.key").read_bytes())
+        with pytest.raises(InputError, match="two sets"):
+            make(certs, days=90, renew=True)
+        with pytest.raises(InputError, match="leave --renew out"):
+            make(certs.parent / "nothing", days=90, renew=True)
+
+    def test_a_place_that_cannot_be_written_is_named(self, tmp_path: Path) -> None:
+        """A file in the way."""
+        (tmp_path / "file").touch()
+        with pytest.raises(LuxloopError, match=r"cannot write .*file.*--out"):
+            make(tmp_path / "file" / "certs", days=90)
+
+
+class TestTheCommand:
+    """`luxloop certs` as it is typed."""
+
+    def test_it_tells_what_was_made(self, tmp_path: Path) -> None:
+        """As text and as one JSON object: folder, roles, hosts, until when."""
+        done = command("--out", "c", "--host", "pc1.lab", "--days", "30", cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+        assert "router, controller, client, thin-film, ray-tracing" in done.stdout
+        assert "pc1.lab" in done.stdout
+        told = json.loads(command("--out", "c", "--renew", "--json", cwd=tmp_path).stdout)
+        assert told["what"] == "renewed"
+        assert told["roles"] == list(ROLES)
+        assert told["hosts"] == [*HOSTS, "pc1.lab"]
+        assert datetime.fromisoformat(told["valid_until"]) > datetime.now(UTC) + 360 * DAY
+
+    @pytest.mark.parametrize("host", ["", "a b", "pc1:7447", "tls/pc1", "*.lab", "1.2.3"])
+    def test_what_is_no_host_is_refused(self, tmp_path: Path, host: str) -> None:
+        """Exit code 2 with an example, nothing made."""
+        done = command("--out", "c", "--host", host, cwd=tmp_path)
+        assert done.returncode == 2
+        assert "--host pc1.lab" in done.stderr
+        assert not (tmp_path / "c").exists()
+
+
+class TestKilled:
+    """A run that ends between any two files it writes, or in the middle of one."""
+
+    def cut(self, folder: Path, after: int, monkeypatch: pytest.MonkeyPatch, *, renew: bool = False) -> bool:
+        """Make or renew a set, ended when so many files have been written; whether that was before the end."""
+        written: list[Path] = []
+
+        def replace(path: Path, content: bytes, mode: int) -> None:
+            if len(written) == after:
+                (path.parent / f".{path.name}-left").write_bytes(content[:100])
+                raise KeyboardInterrupt
+            written.append(path)
+            whole(path, content, mode)
+
+        whole = certs_module._replace
+        with monkeypatch.context() as patch:
+            patch.setattr(certs_module, "_replace", replace)
+            try:
+                make(folder, days=90, renew=renew)
+            except KeyboardInterrupt:
+                return True
+        return False
+
+    def test_a_new_set_is_whole_or_none(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        """Cut after any file there is no ca.pem, so no process starts with it; the next run makes it whole."""
+        for after in range(2 * len(ROLES) + 2):
+            folder = tmp_path / f"c{after}"
+            assert self.cut(folder, after, monkeypatch)
+            assert not (folder / "ca.pem").exists()
+            make(folder, days=90)
+            assert what_it_lacks(folder) == ""
+            assert not list(folder.rglob(".*"))
+        assert not self.cut(tmp_path / "last", 2 * len(ROLES) + 2, monkeypatch)
+
+    def test_a_renewed_set_is_whole_at_every_moment(self, certs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        """Cut after any file each role has its old certificate or its new one, with the key that belongs to it."""
+        for after in range(2 * len(ROLES) + 2):
+            assert self.cut(certs, after, monkeypatch, renew=True)
+            assert what_it_lacks(certs) == ""
+            for role in ROLES:
+                Identity(role, certs / "ca.pem", role_file(certs, role)).check()
+
+
+class TestFilesThatCannotBeUsed:
+    """A process refuses to start with them, says which, and how to mend it."""
+
+    def settings(self, folder: Path) -> Settings:
+        """Settings with these certificates."""
+        return Settings(certs=folder, router=free_tls_endpoint(), cache=folder.parent / "cache")
+
+    def refused(self, folder: Path) -> str:
+        """What opening a session says; there is no router, and it does not come to that."""
+        with pytest.raises(InputError) as caught:
+            ZenohBus(self.settings(folder))
+        assert caught.value.field == "LUXLOOP_CERTS"
+        return str(caught.value)
+
+    def test_a_folder_that_is_not_there(self, tmp_path: Path) -> None:
+        """The mend makes one."""
+        assert "luxloop certs" in self.refused(tmp_path / "nowhere")
+
+    def test_another_role_s_folder(self, certs: Path) -> None:
+        """A worker's folder has no certificate of a client."""
+        assert "client.pem" in self.refused(certs / "thin-film")
+
+    def test_a_set_that_was_never_finished(self, certs: Path) -> None:
+        """Without ca.pem, however many roles are there."""
+        (certs / "ca.pem").unlink()
+        assert "ca.pem" in self.refused(certs)
+
+    def test_a_key_that_others_can_read(self, certs: Path) -> None:
+        """The command that closes it is named."""
+        role_file(certs, "client").chmod(0o644)
+        assert f"chmod 600 {role_file(certs, 'client')}" in self.refused(certs)
+
+    def test_a_damaged_file_and_a_key_of_another(self, certs: Path) -> None:
+        """What is no certificate; a certificate with a key that is not its own."""
+        theirs, ours = role_file(certs, "router").read_bytes(), role_file(certs, "client").read_bytes()
+        role_file(certs, "client").write_bytes(ours[: ours.index(b"-----BEGIN PRIVATE")])
+        assert "client.pem" in self.refused(certs)
+        mixed = ours[: ours.index(b"-----BEGIN PRIVATE")] + theirs[theirs.index(b"-----BEGIN PRIVATE") :]
+        role_file(certs, "client").write_bytes(mixed)
+        assert "client.pem" in self.refused(certs)
+
+    @pytest.mark.skipif(os.geteuid() == 0, reason="root may read everything")
+    def test_a_file_that_we_may_not_read(self, certs: Path) -> None:
+        """Somebody else's."""
+        role_file(certs, "client").chmod(0o000)
+        assert "Permission denied" in self.refused(certs)
+
+    def test_a_role_s_own_folder_is_enough(self, certs: Path) -> None:
+        """What a container mounts: found there, and by the whole set's folder alike."""
+        alone = Identity.of(self.settings(certs / "thin-film"), "thin-film")
+        whole = Identity.of(self.settings(certs), "thin-film")
+        assert alone is not None
+        assert whole is not None
+        assert alone.own == whole.own == role_file(certs, "thin-film")
+
+
+class TestTheDoctor:
+    """What it finds in a folder of certificates."""
+
+    def test_a_good_set(self, certs: Path) -> None:
+        """Every file is named with the day it ends."""
+        found = found_by_the_doctor(certs)
+        for role in ROLES:
+            assert found[f"{role}.pem"]["verdict"] == "ok"
+            assert "valid until" in found[f"{role}.pem"]["found"]
+        assert found["ca.pem"]["verdict"] == found["ca.key"]["verdict"] == "ok"
+        assert found["router"]["verdict"] == "fail"
+
+    def test_a_role_s_own_folder(self, certs: Path) -> None:
+        """On a worker's host the doctor shows that worker's certificate, and looks at no other."""
+        found = found_by_the_doctor(certs / "thin-film", "--role", "thin-film")
+        assert found["thin-film.pem"]["verdict"] == "ok"
+        assert not {"client.pem", "router.pem", "ca.key"} & set(found)
+
+    def test_every_fault_is_found_and_has_a_mend(self, certs: Path) -> None:
+        """Expired, soon to end, of another role, of another CA, open to the group, open to all, missing."""
+        authority, now = Authority.read(certs), datetime.now(UTC)
+        role_file(certs, "router").write_bytes(authority.issue("router", HOSTS, now - 2 * DAY, now - DAY))
+        role_file(certs, "controller").write_bytes(authority.issue("controller", (), now - DAY, now + 9.5 * DAY))
+        role_file(certs, "thin-film").write_bytes(authority.issue("ray-tracing", (), now - DAY, now + 90 * DAY))
+        role_file(certs, "ray-tracing").write_bytes(
+            Authority.new().issue("ray-tracing", (), now - DAY, now + 90 * DAY)
+        )
+        role_file(certs, "client").unlink()
+        (certs / "ca.key").chmod(0o640)
+        found = found_by_the_doctor(certs)
+        said = {what: (found[what]["verdict"], found[what]["found"], found[what]["mend"]) for what in found}
+        for what, verdict, text, mend in (
+            ("router.pem", "fail", "has expired", "--renew"),
+            ("controller.pem", "warn", "9 days", "--renew"),
+            ("thin-film.pem", "fail", "certificate of 'ray-tracing'", "luxloop certs"),
+            ("ray-tracing.pem", "fail", "not signed by the CA", "one set"),
+            ("client.pem", "fail", "client.pem", "luxloop certs"),
+            ("ca.key", "warn", "open to its group", "chmod 600"),
+        ):
+            assert said[what][0] == verdict, what
+            assert text in said[what][1], what
+            assert mend in said[what][2], what
+        (certs / "ca.key").chmod(0o604)
+        assert found_by_the_doctor(certs)["ca.key"]["verdict"] == "fail"
+
+    def test_a_plain_set_that_others_can_reach_is_a_warning(self, tmp_path: Path) -> None:
+        """On loopback it is in order; at an address of a network whoever reaches it may join."""
+        from env_controller.health.certificates import certificates
+
+        (here,) = certificates(Settings(cache=tmp_path), "client")
+        (there,) = certificates(Settings(cache=tmp_path, router="tcp/10.0.0.5:7447"), "client")
+        assert (here.verdict, there.verdict) == ("ok", "warn")
+        assert "LUXLOOP_CERTS" in there.mend
