@@ -45,7 +45,7 @@ KEYS: dict[str, Key] = {
     "act": Key("act/{name}", c.Action, c.Step, "controller", HOLD_S + 5.0, True),
     "note": Key("note/{name}", c.Note, m.Receipt, "controller", SHORT_S, True),
     "end": Key("end/{name}", c.End, c.Ended, "controller", 2.0 * SHORT_S, True),
-    "replay": Key("replay/{name}", m.Replayed, None, "anybody", SHORT_S, False),
+    "replay": Key("replay/{name}", m.Replayed, None, "client", SHORT_S, False),
     "alive": Key("alive/{role}/{kind}/{name}", m.Nothing, None, "anybody", SHORT_S, False, "anybody"),
 }
 

@@ -1,0 +1,150 @@
+"""A replay of a run: levels 1 to 4, what came of each comparison, and the exit code.
+
+    1 verify       the file is what was written (`checks`); it comes first at every level, and a broken chain ends it
+    2 re-derive    what follows from the replies on record follows again
+    3 re-decide    the designer, told the same, decides the same
+    4 re-execute   the workers, asked the same, answer the same
+
+Levels 2 and 3 are done by the rooms' auditors, found by the entry points `luxloop.auditors`.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import Counter, defaultdict
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Any
+
+from env_controller.audit import checks, scores
+from env_controller.audit.machine import other_bits
+from luxloop.audit import VERDICTS, Auditor, Compared, Verdict
+from luxloop.journal.reader import RunJournal
+
+SAME, FAILED, DIFFERS, BROKEN = 0, 1, 4, 5
+"""Exit codes."""
+KEPT = 1000  # differences of which the first are shown
+SHOWN = 10
+Document = dict[str, Any]
+
+
+@dataclass
+class Tally:
+    """What was compared so far, by what it is. Takes from several threads."""
+
+    counts: dict[str, Counter[Verdict]] = field(default_factory=lambda: defaultdict(Counter))
+    whys: dict[str, Counter[str]] = field(default_factory=lambda: defaultdict(Counter))
+    z: dict[str, list[float]] = field(default_factory=lambda: defaultdict(list))
+    differences: list[Compared] = field(default_factory=list)
+    look: Callable[[Compared], object] = lambda _: None
+    _lock: threading.Lock = field(default_factory=threading.Lock)
+
+    def take(self, one: Compared) -> None:
+        """Count a comparison."""
+        with self._lock:
+            self.counts[one.what][one.verdict] += 1
+            if one.why and one.verdict != "identical":
+                self.whys[f"{one.what}, {one.verdict}"][one.why] += 1
+            if one.z is not None:
+                self.z[one.what].append(one.z)
+            if one.verdict == "differs":
+                self.differences.append(one)
+                if len(self.differences) > 2 * KEPT:
+                    self.differences = self.first(KEPT)
+            self.look(one)
+
+    @property
+    def total(self) -> Counter[Verdict]:
+        """All comparisons by verdict."""
+        return sum(self.counts.values(), Counter())
+
+    def first(self, count: int) -> list[Compared]:
+        """The first differences in the order of the journal; what is of no step comes last."""
+        return sorted(self.differences, key=lambda one: (one.sequence < 0, one.sequence))[:count]
+
+    @property
+    def exit_code(self) -> int:
+        """0 where nothing differs, 4 where something does, 1 where nothing could be compared."""
+        total = self.total
+        if total["differs"]:
+            return DIFFERS
+        return SAME if total["identical"] or total["within tolerance"] else FAILED
+
+
+@dataclass(frozen=True)
+class Replay:
+    """What a replay came to; `other` names what may change last bits and is not as it was."""
+
+    folder: Path
+    level: int
+    audit: checks.Audit
+    tally: Tally
+    other: dict[str, tuple[str, str]]
+
+    @property
+    def broken(self) -> bool:
+        """Whether the journal is not what was written: nothing is compared then."""
+        return checks.exit_code(self.audit) == BROKEN
+
+    @property
+    def exit_code(self) -> int:
+        """That of verify at level 1 and for a broken chain, else that of the comparisons."""
+        return checks.exit_code(self.audit) if self.level == 1 or self.broken else self.tally.exit_code
+
+    def document(self) -> Document:
+        """As one object for machines."""
+        total, first = self.tally.total, self.tally.first(SHOWN)
+        return {
+            "command": "audit replay",
+            "folder": str(self.folder),
+            "level": self.level,
+            "exit": self.exit_code,
+            "chain": {"records": self.audit.mark.records, "root": self.audit.mark.root},
+            "findings": [asdict(one) for one in self.audit.findings],
+            "counts": {verdict: total[verdict] for verdict in VERDICTS},
+            "compared": {what: dict(of_it) for what, of_it in sorted(self.tally.counts.items())},
+            "reasons": {what: dict(of_it.most_common(SHOWN)) for what, of_it in sorted(self.tally.whys.items())},
+            "first_difference": _plain(first[0]) if first else None,
+            "differences": [_plain(one) for one in first],
+            "environment": {name: {"logged": then, "now": now} for name, (then, now) in self.other.items()},
+            "z": {what: scores.summary(z) for what, z in sorted(self.tally.z.items())},
+        }
+
+
+def verified(folder: Path, level: int, look: Callable[[Compared], object] = lambda _: None) -> Replay:
+    """A replay after its level 1. Raises InputError where there is no journal."""
+    audit = checks.verify(folder, None, None)
+    other = {} if checks.exit_code(audit) == BROKEN else other_bits(facts_of(RunJournal(folder)))
+    return Replay(folder, level, audit, Tally(look=look), other)
+
+
+def audit_rooms(replay: Replay) -> None:
+    """Levels 2 and 3: every auditor of that level looks through the journal."""
+    points = [one for one in entry_points(group="luxloop.auditors") if one.name.startswith(f"level{replay.level}.")]
+    for point in sorted(points, key=lambda one: one.name):
+        auditor: Auditor = point.load()
+        auditor(RunJournal(replay.folder), replay.tally.take, same_machine=not replay.other)
+
+
+def facts_of(journal: RunJournal) -> dict[str, str]:
+    """Where a run was made: the controller's facts, and what it lacks from the list of the designer's packages."""
+    listed = journal.attachments().get("packages.txt", b"").decode().lower()
+    packages = dict(line.split("==", 1) for line in listed.splitlines() if "==" in line)
+    environment = journal.metadata("environment")
+    return packages | {name: fact for name, fact in environment.items() if fact != "not installed"}
+
+
+def _plain(one: Compared) -> Document:
+    """A comparison as JSON values: what is compared may be of any kind, a reader wants its text."""
+    plain = asdict(one)
+    return plain | {name: _jsonable(plain[name]) for name in ("logged", "now")}
+
+
+def _jsonable(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {str(key): _jsonable(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_jsonable(item) for item in value]
+    return value if isinstance(value, str | int | float | bool | None) else str(value)
