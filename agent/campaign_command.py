@@ -265,7 +265,8 @@ def tell(launched: Launched, as_json: bool, page: Path | None = None) -> None:
     else:
         typer.echo("\n".join(as_text(document)))
     if launched.interrupted:
-        sys.stderr.write(f"interrupted; to go on: luxloop campaign resume {launched.run}\n")
+        if as_json:
+            sys.stderr.write(f"interrupted; to go on: luxloop campaign resume {launched.run}\n")
         raise typer.Exit(INTERRUPTED)
 
 
@@ -289,7 +290,9 @@ def as_text(document: dict[str, Any]) -> list[str]:
         error = 100.0 * (best["uniformity_error"] ** 2 + start["uniformity_error"] ** 2) ** 0.5
         lines.append(f"gained       {gain:+.2f} +- {error:.2f} points over the start")
     lines.append(f"journal      {document['folder']}: {document['records']} records, root {document['root']}")
-    if "report" in document:
+    if document["interrupted"]:
+        lines.append(f"next         luxloop campaign resume {document['run']}")
+    elif "report" in document:
         lines.append(f"report       {document['report']}")
     else:
         near = Path(document["folder"]).parent == load_settings().runs_dir.resolve()
