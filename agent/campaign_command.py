@@ -254,7 +254,7 @@ def _launched(
     from agent.launch import launch
 
     show = sys.stderr.isatty() and not quiet
-    return launch(settings, campaign, model, run, kind=kind, local=not no_local, show=show)
+    return launch(settings, campaign, model, run, kind=kind, local=not no_local, show=show, say=not quiet)
 
 
 def tell(launched: Launched, as_json: bool, page: Path | None = None) -> None:
@@ -304,6 +304,5 @@ def _row_text(row: dict[str, Any]) -> str:
     if "damaged" in row:
         return f"{row['run']:40} damaged: luxloop audit verify {row['folder']}"
     best = row.get("best")
-    state = "running" if row["running"] else "ended" if row["finished"] else "cut off"
     found = f"best {100.0 * best['uniformity']:.2f} %" if best else "nothing yet"
-    return f"{row['run']:40} {row['kind']:9} {state:8} {row['steps']:>6} steps  {found}"
+    return f"{row['run']:40} {row['kind']:9} {row['state']:11} {row['steps']:>6} steps  {found}"

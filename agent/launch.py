@@ -68,8 +68,11 @@ def launch(
     kind: Literal["campaign", "grid"] = "campaign",
     local: bool = True,
     show: bool = False,
+    say: bool = False,
 ) -> Launched:
     """Run a campaign to its end. Ctrl-C ends the walk after the steps under way; the journal is finished.
+
+    `show` draws a live table on the terminal, `say` tells the run's id and folder at its start.
 
     Raises InputError for settings that do not fit, RemoteError where the controller refuses or cannot be reached.
     """
@@ -78,7 +81,7 @@ def launch(
     plan = campaign.plan(name, chosen, model, kind=kind)
     refuse_taken_id(settings, name, local)
     usable_cache(settings)
-    return Start(settings, campaign, plan, chosen, local=local, show=show).go()
+    return Start(settings, campaign, plan, chosen, local=local, show=show, say=say).go()
 
 
 @dataclass(frozen=True)
@@ -93,6 +96,7 @@ class Start:
     past: Past | None = None
     local: bool = True
     show: bool = False
+    say: bool = False
 
     def go(self) -> Launched:
         """Walk to the end, evaluate the finalists, finish the journal."""
@@ -105,6 +109,8 @@ class Start:
             live(self.show, plan.run, campaign.stop.evaluations, client) as look,
         ):
             door.on_lost = lost(self.show)
+            if self.say:
+                warn(f"run {plan.run} in {door.begun.folder}" + self._on_record(door))
             checkpoints = self._checkpoints(door)
             runner = checkpoints.restored(lambda: self._runner(door, checkpoints, look, interrupted), self.on_record)
             found = runner.run(campaign.finalists, without_dbr=plan.kind == "campaign")
@@ -114,6 +120,10 @@ class Start:
                 checkpoints.save(runner)
             walk = tuple(runner.designer.known.uniformity.values())
             return Launched(plan.run, found, door.end(found.reason), found.reason == INTERRUPTED, walk)
+
+    @staticmethod
+    def _on_record(door: RunDoor) -> str:
+        return f", {door.begun.steps} steps are on record" if door.begun.steps else ""
 
     def _facts(self) -> dict[str, Any]:
         return {

@@ -25,7 +25,13 @@ NEEDED = ("plan.json", "campaign.json", "model.toml")
 
 
 def resume(
-    settings: Settings, folder: Path, *, as_recorded: bool = False, local: bool = True, show: bool = False
+    settings: Settings,
+    folder: Path,
+    *,
+    as_recorded: bool = False,
+    local: bool = True,
+    show: bool = False,
+    say: bool = False,
 ) -> Launched:
     """Go on with the run in `folder` to its end; `settings` name the folder of runs that it lies in.
 
@@ -46,7 +52,7 @@ def resume(
     usable_cache(settings)
     steps = tuple(told.step for told in run.told)
     past = Past(sum(not step.final for step in steps), wall_s(run.told), WalkEnd.among(run.lines))
-    return Start(settings, campaign, run.plan, model, steps, past, local=local, show=show).go()
+    return Start(settings, campaign, run.plan, model, steps, past, local=local, show=show, say=say).go()
 
 
 def refuse_ended(run: Recorded) -> None:

@@ -28,5 +28,6 @@ def resume(
     settings = load_settings(router=router, runs=runs)
     folder = folder_of(settings, run)
     settings = settings.model_copy(update={"runs": folder.resolve().parent})
-    show = sys.stderr.isatty() and not (as_json or quiet)
-    tell(go_on(settings, folder, as_recorded=as_recorded, local=not no_local, show=show), as_json)
+    say = not (as_json or quiet)
+    show = sys.stderr.isatty() and say
+    tell(go_on(settings, folder, as_recorded=as_recorded, local=not no_local, show=show, say=say), as_json)

@@ -1,0 +1,29 @@
+#!/bin/sh
+# The first thing in every container: see that it may write where it must, bring the kernels, become the command.
+set -eu
+
+refuse() { # folder, its name on the host, mend
+  printf '%s\n' "luxloop: uid $(id -u) cannot write $2, which belongs to uid $(stat -c %u "$1"): $3" >&2
+  exit 2
+}
+
+if [ -n "${LUXLOOP_RUNS:-}" ] && [ ! -w "$LUXLOOP_RUNS" ]; then
+  refuse "$LUXLOOP_RUNS" ./runs \
+    "on the host, (echo UID=\$(id -u); echo GID=\$(id -g)) >>.env says who you are; or give the folder to $(id -u)"
+fi
+if [ -n "${LUXLOOP_CACHE:-}" ] && [ ! -w "$LUXLOOP_CACHE" ]; then
+  refuse "$LUXLOOP_CACHE" "the volume at $LUXLOOP_CACHE" "docker compose down --volumes, then start again"
+fi
+
+# Compiled kernels lie in a folder named by the digest of their sources. A copy is finished under another name first:
+# several workers may start at once on one volume, and the first one wins.
+for kernels in /opt/luxloop/kernels/*/; do
+  target=${LUXLOOP_CACHE:-/tmp}/kernels/$(basename "$kernels")
+  { [ -d "$kernels" ] && [ ! -d "$target" ]; } || continue
+  mkdir -p "${target%/*}"
+  copy=$(mktemp -d "${target%/*}/.new-XXXXXX")
+  cp -Rp "$kernels." "$copy"
+  mv -T "$copy" "$target" 2>/dev/null || rm -rf "$copy"
+done
+
+exec "$@"
