@@ -32,7 +32,7 @@ from tests.conftest import start, stop, wait_for
 from tests.running_set import RunningSet
 
 PRETEND = str(Path(__file__).parents[1] / "pretend_worker.py")
-EVALUATIONS = 90
+EVALUATIONS = 64
 DESIGN = Design.from_vector((150.0, 30.0, 500.0, 20.0, 5.5))
 
 
@@ -153,7 +153,7 @@ def test_an_interrupted_run_says_how_to_go_on(running: RunningSet, number: signa
     assert content(running, "stormy") == content(running, "calm")
 
 
-@pytest.mark.parametrize("name", ["pattern", "random", "ddqn-paper"])
+@pytest.mark.parametrize("name", ["pattern", "ddqn-paper"])
 def test_every_designer_can_be_gone_on_with(running: RunningSet, name: str) -> None:
     """Searches and the paper's learner, twice interrupted."""
     undisturbed(running, designer=name)
@@ -195,34 +195,21 @@ def test_a_changed_model_is_refused_with_the_difference(running: RunningSet, tmp
     assert content(running, "stormy") == content(running, "calm")
 
 
-@pytest.mark.parametrize("harm", ["cut", "another run's", "ahead"])
-def test_a_checkpoint_that_does_not_fit_is_left_aside(
-    running: RunningSet, harm: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_checkpoint_that_is_damaged_is_left_aside(running: RunningSet, capsys: pytest.CaptureFixture[str]) -> None:
     """Told with the reason; the journal alone leads to the same end."""
-    killed(running, "stormy", 60)
-    folder = running.settings.runs_dir / "stormy"
-    (newest,) = sorted((folder / FOLDER).glob("*.npz"))[-1:]
-    if harm == "cut":
-        newest.write_bytes(newest.read_bytes()[:-200])
-    elif harm == "another run's":
-        undisturbed(running, "other", seed=2)
-        (other,) = sorted((running.settings.runs_dir / "other" / FOLDER).glob("*.npz"))[:1]
-        newest.write_bytes(other.read_bytes())
-    else:
-        undisturbed(running, "calm")
-        last = sorted((running.settings.runs_dir / "calm" / FOLDER).glob("*.npz"))[-1]
-        newest.with_name(last.name).write_bytes(last.read_bytes())
+    killed(running, "stormy", 55)
+    (newest,) = sorted((running.settings.runs_dir / "stormy" / FOLDER).glob("*.npz"))[-1:]
+    newest.write_bytes(newest.read_bytes()[:-200])
     went_on(running, "stormy")
-    said = capsys.readouterr().err
-    assert "is left aside" in said
-    if harm != "ahead":
-        undisturbed(running, "calm")
+    assert "is left aside" in capsys.readouterr().err
+    undisturbed(running, "calm")
     assert content(running, "stormy") == content(running, "calm")
 
 
-def test_a_run_of_another_release_or_none_is_refused(running: RunningSet, tmp_path: Path) -> None:
-    """A folder without a journal, an id that nobody has, a plan that differs."""
+def test_a_run_of_another_release_or_none_is_refused(
+    running: RunningSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A folder without a journal, an id that nobody has, a plan that differs, another release: what to do is said."""
     with pytest.raises(InputError, match="the folder of a run"):
         resume(running.settings, tmp_path / "nothing", local=False)
     killed(running, "stormy", 5)
@@ -233,6 +220,9 @@ def test_a_run_of_another_release_or_none_is_refused(running: RunningSet, tmp_pa
         nobody = plan.model_copy(update={"run": "nobody"})
         with pytest.raises(RemoteError, match="folder of a run"):
             RunDoor.begin(client, nobody, resume=True)
+    monkeypatch.setattr("agent.resume.__version__", "9.9")
+    with pytest.raises(InputError, match=r"install that release.*9\.9"):
+        went_on(running, "stormy")
 
 
 def test_the_time_that_counts_is_that_with_something_under_way() -> None:
