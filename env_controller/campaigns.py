@@ -25,8 +25,9 @@ from luxloop.bus.frame import Array, decode, encode
 from luxloop.bus.keys import HOLD_S
 from luxloop.campaign import Action, Begin, Begun, Cut, End, Ended, Note, Plan, Step
 from luxloop.errors import LuxloopError, RemoteError
-from luxloop.failure import Failure
+from luxloop.failure import Code, Failure
 from luxloop.journal.journal import Journal
+from luxloop.journal.reader import RunJournal
 from luxloop.journal.topics import (
     Record,
     log_record,
@@ -113,12 +114,21 @@ class Campaigns:
             self._close(name, f"its designer {run.begin.designer} has gone", lost=True)
             run = None
         if run is None:
-            past = self._past(asked, begin) if begin.resume else self._new(begin)
+            past = self._past(asked, begin) if begin.resume or self._was_begun(begin) else self._new(begin)
             if past is None:
                 return
             run = self._opened(begin, past)
         folder = str((self._folder / name).resolve())
         asked.reply(Begun(run=name, folder=folder, segment=run.journal.number, steps=run.on_record))
+
+    def _was_begun(self, begin: Begin) -> bool:
+        """Whether a controller before us opened the run for this very designer, and died before it could say so."""
+        try:
+            journal = RunJournal(self._folder / begin.plan.run)
+            mine = journal.metadata("run").get("designer") == begin.designer
+            return mine and journal.segments[-1].index is None  # else it was ended
+        except (LuxloopError, OSError):
+            return False
 
     def _new(self, begin: Begin) -> Past:
         """No past; raises RemoteError where the run exists."""
@@ -219,9 +229,9 @@ class Campaigns:
                 self._close(name, f"nothing heard of its designer {run.begin.designer} for {SILENT_S:g} s", lost=True)
 
     def stop(self) -> None:
-        """The controller ends: every journal is finished."""
+        """The controller ends: every journal is finished. Designers wait for the next one, which goes on."""
         for name in list(self._runs):
-            self._close(name, "the controller was stopped", lost=True)
+            self._close(name, "the controller was stopped", lost=True, code="not_found")
 
     def _open(self, name: str, designer: str) -> OpenRun:
         run = self._runs.get(name)
@@ -309,14 +319,14 @@ class Campaigns:
             lane.asked.answer(frame)
             lane.asked = None
 
-    def _close(self, name: str, reason: str, *, lost: bool = False) -> Ended:
-        """End a run: nothing more is computed for it, its journal is finished."""
+    def _close(self, name: str, reason: str, *, lost: bool = False, code: Code = "refused") -> Ended:
+        """End a run: nothing more is computed for it, its journal is finished; who waits is told so with `code`."""
         run = self._runs.pop(name)
         self._perform(self.agent.handle(a.Closed(time.monotonic(), name)))
         with self._lock:
             for lane in run.lanes.values():
                 if lane.asked is not None:
-                    lane.asked.reply(_refused(f"the run {name!r} has ended: {reason}", "").failure)
+                    lane.asked.reply(Failure(code=code, message=f"the run {name!r} has ended: {reason}"))
                     lane.asked = None
         try:
             run.journal.put([log_record(f"ended: {reason}", run.sequence, time.time_ns())], lambda _: None)

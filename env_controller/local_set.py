@@ -1,14 +1,20 @@
-"""All processes of a set on this machine: router, controller, workers; started, watched, restarted, stopped."""
+"""All processes of a set on this machine: router, controller, workers; started, watched, restarted, stopped.
+
+What ends is started again; what lives and does not answer is killed (`watch.py`), and then started again.
+"""
 
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 
+from env_controller.watch import Server, Watch
 from luxloop.endpoint import refuse_taken
 from luxloop.errors import LuxloopError
 from luxloop.process import orphaned, usable_cores
@@ -73,6 +79,23 @@ def threads_each(workers: int) -> int | None:
     return max(1, usable_cores() // workers)
 
 
+def watched(settings: Settings, members: list[Member], tell: Callable[[str], None]) -> Watch:
+    """A watch over the members of a set, router and controller first."""
+
+    def servers() -> dict[Server, int]:
+        return {"router": members[0].process.pid, "controller": members[1].process.pid}
+
+    def workers() -> frozenset[int]:
+        return frozenset(member.process.pid for member in members[2:])
+
+    def kill(pid: int, why: str) -> None:
+        tell(f"{why}: process {pid} is killed")
+        with suppress(ProcessLookupError):
+            os.kill(pid, signal.SIGKILL)
+
+    return Watch(settings, servers, workers, kill)
+
+
 def run_local(settings: Settings, workers: dict[str, int], stop: threading.Event, *, quiet: bool = False) -> None:
     """Keep a set alive until `stop` is set, or whoever started it has gone; then stop all of it.
 
@@ -88,12 +111,14 @@ def run_local(settings: Settings, workers: dict[str, int], stop: threading.Event
     refuse_taken(settings.router)
     roles = ["router", "controller", *(role for role, count in workers.items() for _ in range(count))]
     members = [Member(role, settings, quiet, threads_each(workers.get(role, 1))) for role in roles]
+    watch = watched(settings, members, tell)
     try:
         tell(f"{', '.join(roles)} at {settings.router}")
         while not stop.wait(0.2) and not orphaned():
             for member in members:
                 member.look_after(tell)
     finally:
+        watch.close()
         for member in reversed(members):  # workers first, so that they can hand back what they hold
             member.process.terminate()
         end_s = time.monotonic() + STOP_S

@@ -18,6 +18,7 @@ from uuid import uuid4
 
 from luxloop.bus import Interrupt
 from luxloop.bus.frame import Parcel
+from luxloop.bus.keys import name_of
 from luxloop.campaign import Action, AgentRecord, Begin, Begun, End, Ended, Note, Plan, Step
 from luxloop.client import AGAIN, Client
 from luxloop.errors import RemoteError
@@ -27,6 +28,9 @@ from luxloop.words import Words
 
 LOST_S = 60.0
 """A controller or router that is away for longer is given up; one that is started again is back in a few seconds."""
+UNHEARD = 25
+"""How often in a row, 0.2 s apart, a question may reach nobody although the controller is there: a router that was
+just started knows who is there before it knows who answers. Oftener, and this side is not permitted to ask."""
 REOPENED = 10
 """How often a run is opened again for one question, before the controller is taken for one that cannot keep it."""
 
@@ -73,9 +77,7 @@ class RunDoor:
             if not isinstance(parcel.message, Nothing):
                 return parcel.expect(Step)
 
-    def _asked(
-        self, row: str, message: Words, until: Interrupt | None = None, patience_s: float = LOST_S
-    ) -> Parcel:
+    def _asked(self, row: str, message: Words, until: Interrupt | None = None, patience_s: float = LOST_S) -> Parcel:
         """The answer to a question about the run, which is opened again where the controller has lost it."""
         for _ in range(REOPENED):
             try:
@@ -145,12 +147,16 @@ def _asked(
 ) -> Parcel:
     """The answer to a question that may be asked again; who is away for a moment is waited for."""
     lost_since_s: float | None = None
+    unheard = 0
     while True:
         asked_s = time.monotonic()
         try:
             found = client.ask(row, message, parts, until)
         except RemoteError as error:
-            if error.failure.code not in AGAIN or error.failure.code == "refused" or (until and until.is_set()):
+            refused = error.failure.code == "refused"
+            unheard = unheard + 1 if refused and name_of(error.failure.where) == row else 0
+            away = error.failure.code in AGAIN and not refused
+            if not (away or 0 < unheard < UNHEARD) or (until and until.is_set()):
                 raise
             lost_since_s = asked_s if lost_since_s is None else lost_since_s
             on_lost(time.monotonic() - lost_since_s)

@@ -358,3 +358,20 @@ def test_a_grid_keeps_the_maps_of_its_best(desk: Desk, tmp_path: Path, monkeypat
     records = written(tmp_path)
     assert [record.sequence for record in records if record.topic == "/map/sim"] == [0, 1, 3]
     assert sum(record.topic == "/step" for record in records) == 5
+
+
+def test_a_begin_whose_answer_was_lost_with_its_controller_is_answered_by_the_next(tmp_path: Path) -> None:
+    """The same designer goes on in a second segment; to another one the id is taken."""
+    first = Desk(tmp_path)
+    assert isinstance(first.begin(), Begun)
+    first.controller._campaigns._runs["one"].journal.close()  # as a kill leaves it
+    second = Desk(tmp_path)
+    assert "exists" in getattr(second.begin(designer="e"), "message", "")
+    question = second.put("begin", Begin(plan=plan(), designer="d"))
+    event = second.controller._inbox.take(WAIT_S)  # asked once more when the journal has been read
+    assert event is not None
+    second.controller.take(event)
+    begun = question.wait()
+    assert isinstance(begun, Begun)
+    assert (begun.segment, begun.steps) == (2, 0)
+    second.controller._campaigns.stop()

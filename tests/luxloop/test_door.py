@@ -8,6 +8,7 @@ import pytest
 
 from luxloop import door as doors
 from luxloop.bus.frame import Parcel
+from luxloop.bus.keys import at
 from luxloop.campaign import Action, Begin, Begun, Ended, Step
 from luxloop.design import Design
 from luxloop.door import RunDoor
@@ -26,7 +27,7 @@ BEGUN = Begun(run="one", folder="/runs/one", segment=1)
 
 
 class Client:
-    """Answers in turn with what it is given: words, or the code of a failure; the last one for ever."""
+    """Answers in turn with what it is given: words, a failure or its code; the last one for ever."""
 
     def __init__(self, *answers: Any) -> None:
         self.answers, self.rows = list(answers), list[str]()
@@ -34,6 +35,8 @@ class Client:
     def ask(self, row: str, *_: Any) -> Parcel:
         self.rows.append(row)
         answer = self.answers.pop(0) if len(self.answers) > 1 else self.answers[0]
+        if isinstance(answer, Failure):
+            raise RemoteError(answer)
         if isinstance(answer, str):
             raise RemoteError(Failure(code=answer, message=answer))  # type: ignore[arg-type]  # the tests give codes
         return Parcel(answer)
@@ -136,3 +139,21 @@ def test_left_quietly_the_run_is_ended_once() -> None:
     with opened:
         assert opened.end("enough") == ended
     assert client.rows == ["end"]
+
+
+UNHEARD = Failure(code="refused", message="it is there, the question did not reach it", where=at("luxloop", "act"))
+
+
+def test_a_question_that_reached_nobody_is_asked_again(clock: Clock) -> None:
+    """A router that has just been started: the controller is known there before its questions are."""
+    opened, client = door("no_controller", *[UNHEARD] * 4, STEP)
+    assert opened.act(ACTION) == STEP
+    assert client.rows == ["act"] * 6
+
+
+def test_who_is_not_permitted_to_ask_is_told_soon(clock: Clock) -> None:
+    """After a few seconds, not after the time for which a controller may be away."""
+    opened, _ = door(UNHEARD)
+    with pytest.raises(RemoteError, match="did not reach"):
+        opened.act(ACTION)
+    assert clock.now_s < 6.0
