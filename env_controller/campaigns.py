@@ -18,16 +18,15 @@ from env_controller import actions as a
 from env_controller.audit.machine import machine
 from env_controller.environment import EnvironmentAgent
 from env_controller.events import Command
-from env_controller.past import read_back
+from env_controller.past import Reader, never_begun, was_begun
 from env_controller.trials import Past
 from luxloop.bus import Asked
 from luxloop.bus.frame import Array, decode, encode
 from luxloop.bus.keys import HOLD_S
-from luxloop.campaign import Action, Begin, Begun, Cut, End, Ended, Note, Plan, Step
+from luxloop.campaign import Action, Begin, Begun, Cut, End, Ended, Note, Step
 from luxloop.errors import LuxloopError, RemoteError
 from luxloop.failure import Code, Failure
 from luxloop.journal.journal import Journal
-from luxloop.journal.reader import RunJournal
 from luxloop.journal.topics import (
     Record,
     log_record,
@@ -91,10 +90,9 @@ class Campaigns:
     ) -> None:
         """`lives` says whether a designer does; `later` puts a question to the dispatcher once more."""
         self.agent = EnvironmentAgent()
-        self._folder, self._want, self._unwant, self._lives, self._later = folder, want, unwant, lives, later
+        self._folder, self._want, self._unwant, self._lives = folder, want, unwant, lives
+        self._reader = Reader(folder, later)
         self._runs: dict[str, OpenRun] = {}
-        self._reading: dict[str, list[Asked]] = {}  # who waits for a journal to be read
-        self._pasts: dict[str, Past | LuxloopError] = {}
         self._finished: dict[str, tuple[str, Ended]] = {}
         self._lock = threading.Lock()
 
@@ -114,57 +112,21 @@ class Campaigns:
             self._close(name, f"its designer {run.begin.designer} has gone", lost=True)
             run = None
         if run is None:
-            past = self._past(asked, begin) if begin.resume or self._was_begun(begin) else self._new(begin)
-            if past is None:
+            again = begin.resume or was_begun(self._folder / name, begin)
+            past = self._reader.past(asked, begin.plan) if again else self._new(begin)
+            if past is None:  # being read: the question is put once more
                 return
             run = self._opened(begin, past)
         folder = str((self._folder / name).resolve())
         asked.reply(Begun(run=name, folder=folder, segment=run.journal.number, steps=run.on_record))
 
-    def _was_begun(self, begin: Begin) -> bool:
-        """Whether a controller before us opened the run for this very designer, and died before it could say so."""
-        try:
-            journal = RunJournal(self._folder / begin.plan.run)
-            mine = journal.metadata("run").get("designer") == begin.designer
-            return mine and journal.segments[-1].index is None  # else it was ended
-        except (LuxloopError, OSError):
-            return False
-
     def _new(self, begin: Begin) -> Past:
-        """No past; raises RemoteError where the run exists."""
+        """No past; raises RemoteError where the run exists. One of which nothing was committed does not."""
         name = begin.plan.run
-        if (self._folder / name).exists():
+        if (self._folder / name).exists() and not never_begun(self._folder / name):
             mend = f"take another id, or go on with it: luxloop campaign resume {name}"
             raise _refused(f"the run {name!r} exists in {self._folder}", mend)
         return Past()
-
-    def _past(self, asked: Asked, begin: Begin) -> Past | None:
-        """What the run's journal holds; None while that is being read: the question is then put once more."""
-        name = begin.plan.run
-        with self._lock:
-            if name not in self._pasts:
-                askers = self._reading.setdefault(name, [])
-                askers.append(asked)
-                if len(askers) == 1:
-                    threading.Thread(target=self._read, args=(begin.plan,), name="past", daemon=True).start()
-                return None
-            past = self._pasts.pop(name)
-        if isinstance(past, LuxloopError):
-            raise past
-        return past
-
-    def _read(self, plan: Plan) -> None:
-        """Read a journal in a thread of its own, seconds for a long one; then all who asked ask again."""
-        found: Past | LuxloopError
-        try:
-            found = read_back(self._folder / plan.run, plan)
-        except LuxloopError as error:
-            found = error
-        with self._lock:
-            self._pasts[plan.run] = found
-            askers = self._reading.pop(plan.run)
-        for asked in askers:
-            self._later(asked)
 
     def _opened(self, begin: Begin, past: Past) -> OpenRun:
         name, now_s = begin.plan.run, time.monotonic()

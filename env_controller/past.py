@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 import json
+import logging
+import threading
+from collections.abc import Callable
 from pathlib import Path
 
 from env_controller.audit.checks import verify
 from env_controller.trials import Past, film_task
 from luxloop import __version__
-from luxloop.campaign import Plan, Step
+from luxloop.bus import Asked
+from luxloop.campaign import Begin, Plan, Step
 from luxloop.errors import LuxloopError, RemoteError
 from luxloop.failure import Failure
-from luxloop.journal.reader import RunJournal
+from luxloop.journal.chain import Mark
+from luxloop.journal.reader import RunJournal, segments_of, tail_of
 from luxloop.ray import Film
 from luxloop.words import canonical, parse
+
+log = logging.getLogger(__name__)
 
 
 def read_back(folder: Path, plan: Plan) -> Past:
@@ -35,6 +42,66 @@ def read_back(folder: Path, plan: Plan) -> Past:
         raise _refused(str(error), f"luxloop audit verify {folder}") from error
 
 
+class Reader:
+    """Reads journals back, each in a thread of its own: a long one takes seconds.
+
+    Who asks meanwhile is put off: `later` puts the question once more when the journal was read.
+    """
+
+    def __init__(self, folder: Path, later: Callable[[Asked], object]) -> None:
+        self._folder, self._later = folder, later
+        self._askers: dict[str, list[Asked]] = {}
+        self._pasts: dict[str, Past | LuxloopError] = {}
+        self._lock = threading.Lock()
+
+    def past(self, asked: Asked, plan: Plan) -> Past | None:
+        """The past of a plan's run; None while it is being read. Raises what `read_back` does."""
+        with self._lock:
+            found = self._pasts.pop(plan.run, None)
+            if found is None:
+                askers = self._askers.setdefault(plan.run, [])
+                askers.append(asked)
+                if len(askers) == 1:
+                    threading.Thread(target=self._read, args=(plan,), name="past", daemon=True).start()
+                return None
+        if isinstance(found, LuxloopError):
+            raise found
+        return found
+
+    def _read(self, plan: Plan) -> None:
+        found: Past | LuxloopError
+        try:
+            found = read_back(self._folder / plan.run, plan)
+        except LuxloopError as error:
+            found = error
+        except Exception as error:  # whoever asked is told, and nobody waits for ever
+            log.exception("the journal of %s could not be read back", plan.run)
+            found = RemoteError(Failure.of(error, "controller"))
+        with self._lock:
+            self._pasts[plan.run] = found
+            askers = self._askers.pop(plan.run)
+        for asked in askers:
+            self._later(asked)
+
+
+def was_begun(folder: Path, begin: Begin) -> bool:
+    """Whether a controller before us opened the run for this very designer, and died before it could say so."""
+    try:
+        journal = RunJournal(folder)
+        mine = journal.metadata("run").get("designer") == begin.designer
+        return mine and journal.segments[-1].index is None  # else it was ended
+    except (LuxloopError, OSError):
+        return False
+
+
+def never_begun(folder: Path) -> bool:
+    """Whether a controller died before it had committed anything of the run."""
+    try:
+        return bool(segments_of(folder)) and tail_of(folder) == Mark()
+    except (LuxloopError, OSError):
+        return False
+
+
 def _refuse_another(journal: RunJournal, plan: Plan) -> None:
     if journal.being_written:
         owner = journal.metadata("environment")
@@ -44,7 +111,10 @@ def _refuse_another(journal: RunJournal, plan: Plan) -> None:
     if release != __version__:
         mend = f"install luxloop {release}, or begin a new run"
         raise _refused(f"the run was begun by luxloop {release}, this is {__version__}", mend)
-    recorded = parse(Plan, json.loads(journal.attachments()["plan.json"]), "plan.json")
+    attached = journal.attachments()
+    if "plan.json" not in attached:
+        raise _refused("the run has no plan on record", "it was not begun by `luxloop campaign run` or `grid`")
+    recorded = parse(Plan, json.loads(attached["plan.json"]), "plan.json")
     if recorded != plan:
         ours, theirs = (json.loads(canonical(one)) for one in (plan, recorded))
         differ = ", ".join(name for name in ours if ours[name] != theirs.get(name))

@@ -375,3 +375,21 @@ def test_a_begin_whose_answer_was_lost_with_its_controller_is_answered_by_the_ne
     assert isinstance(begun, Begun)
     assert (begun.segment, begun.steps) == (2, 0)
     second.controller._campaigns.stop()
+
+
+@pytest.mark.parametrize("committed", [False, True])
+def test_an_id_of_which_nothing_was_committed_is_free(tmp_path: Path, committed: bool) -> None:
+    """A controller that died within its first write takes no id away; one that had committed does."""
+    first = Desk(tmp_path)
+    first.begin()
+    first.controller._campaigns.stop()
+    segment = tmp_path / "one" / "audit-0001.mcap"
+    segment.write_bytes(segment.read_bytes()[: None if committed else 100])
+    second = Desk(tmp_path)
+    answer = second.begin(designer="e")
+    if committed:
+        assert "luxloop campaign resume one" in refusal(answer).mend
+    else:
+        assert isinstance(answer, Begun)
+        assert answer.segment == 2
+    second.controller._campaigns.stop()
