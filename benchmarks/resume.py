@@ -17,8 +17,6 @@ import time
 from pathlib import Path
 
 from agent.checkpoints import FOLDER
-from agent.config import Campaign, Stop
-from agent.launch import launch
 from benchmarks.processes import Processes, table
 from luxloop.errors import LuxloopError
 from luxloop.journal.reader import RunJournal
@@ -37,8 +35,6 @@ def main() -> None:
     rows = []
     with Processes((PRETEND, "film"), (PRETEND, "ray")) as processes:
         settings = processes.settings
-        campaign = Campaign(designer=NAME, stop=Stop(evaluations=10**6, steps=steps))
-        launch(settings, campaign, "paper", "whole", local=False)  # so that later kills find warm processes
         argv = [sys.executable, "-m", "luxloop", "campaign"]
         environment = as_environment(settings)
         process = subprocess.Popen(
