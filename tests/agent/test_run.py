@@ -157,7 +157,7 @@ def test_ctrl_c_finishes_the_steps_under_way_and_the_journal(running: Set) -> No
     out, _ = process.communicate(timeout=30)
     assert process.returncode == 130
     assert "interrupted" in out
-    assert "luxloop campaign report stop" in out
+    assert "luxloop campaign resume stop" in out
     assert (journal / "audit.sha256").exists()
 
 

@@ -136,7 +136,7 @@ def test_no_worker_is_said_after_the_patience(processes: Set) -> None:
 
 
 def test_a_worker_killed_in_a_task_is_replaced(processes: Set) -> None:
-    """kill -9 while it computes: the next worker gets the task as attempt 2 and the client its answer."""
+    """kill -9 while it computes: the next worker gets the task in a later attempt, and the client its answer."""
     victim = processes.add_worker()
     processes.ready(1)
     thread, got = processes.later(task("nap", s=1.0))
@@ -146,7 +146,7 @@ def test_a_worker_killed_in_a_task_is_replaced(processes: Set) -> None:
     thread.join(20)
     (answer,) = got
     assert isinstance(answer, Answer)
-    assert answer.attempt == 2
+    assert answer.attempt >= 2
 
 
 def test_200_tasks_while_workers_are_killed(processes: Set) -> None:

@@ -64,6 +64,8 @@ PURE = {
     "learning_rate": "of Adam",
     # of a formula
     "exponent": "power of a scatter spectrum's fall",
+    # of a comparison
+    "z": "difference in standard errors",
 }
 UNIT_INSIDE = {
     "heard_s_ago": "seconds; reads as a sentence",
