@@ -101,8 +101,8 @@ class EnvironmentAgent:
     @staticmethod
     def _again(lane: Lane, action: Action, design: Design | None, step: Step) -> a.Again:
         """The step on record, where it is of the same design: a designer that walks otherwise is another one."""
-        asked = (design or lane.design, action.final, action.role)
-        if asked != (step.design, step.final, step.role):
+        asked = (design or lane.design, action.move, action.final, action.role)
+        if asked != (step.design, step.move, step.final, step.role):
             mend = "its settings, its checkpoint or its code are not those of the run: begin a new one"
             raise InputError("design", str(asked[0]), f"{step.design}, as on record", mend)
         lane.follow(step)
@@ -255,6 +255,7 @@ class EnvironmentAgent:
             lane=action.lane,
             number=action.number,
             design=trial.design,
+            move=action.move,
             state=tuple(map(float, x)),
             reward=worth,
             final=action.final,

@@ -94,13 +94,17 @@ class Plan(Words):
 
 
 class Begin(Words):
-    """A designer opens a run; answered by `Begun`, or a Failure where the id is taken."""
+    """A designer opens a run; answered by `Begun`, or a Failure where the id is taken.
+
+    A run has one designer at a time: one that was taken over from, while it was not heard of, is refused.
+    """
 
     plan: Plan
     designer: Name = Field(description="This process: a second one on the same run is refused.")
     facts: Plain = Field(default_factory=dict, description="Into the journal: argv, configuration, packages.")
     attachments: dict[Name, str] = Field(default_factory=dict, max_length=16)
     resume: bool = Field(False, description="Go on with a run that exists: what its journal holds is not done again.")
+    root: Sha256 | None = Field(None, description="Of the chain of the journal that is to be gone on with.")
 
     @field_validator("attachments")
     @classmethod
@@ -112,7 +116,7 @@ class Begin(Words):
 
     def same_run(self, other: Begin) -> bool:
         """Whether both are of one designer and one run, opened or opened again."""
-        return self.model_copy(update={"resume": other.resume}) == other
+        return self.model_copy(update={"resume": other.resume, "root": other.root}) == other
 
 
 class Begun(Words):
@@ -201,6 +205,9 @@ class Step(Words):
     lane: Lane
     number: Number
     design: Design
+    move: Move | None = Field(
+        None, description="What led here from where the lane was; none: a design was asked for."
+    )
     state: tuple[Share, Share, Share, Share, Share] = Field(description="The design in [-1, 1] of the bounds.")
     uniformity: float = Field(description="Eq. 8, 0 to 1; 0 where the design is infeasible.")
     uniformity_error: float = Field(0.0, ge=0.0, description="Its standard error.")
@@ -241,6 +248,7 @@ class End(Words):
     run: RunId
     designer: Name
     reason: Text
+    complete: bool = Field(False, description="Nothing is left to do; else the run may be gone on with.")
 
 
 class Ended(Words):

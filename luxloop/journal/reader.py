@@ -12,7 +12,7 @@ from collections import deque
 from collections.abc import Iterable, Iterator
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from mcap.data_stream import ReadDataStream
@@ -27,6 +27,9 @@ from luxloop.journal.chain import Mark
 from luxloop.journal.scan import BROKEN, Scan, record_of, refuse_foreign, summary_of
 from luxloop.journal.segment import FORMAT, PATTERN, being_written
 from luxloop.journal.topics import CHAIN, TOPICS, LearnerRecord, Record
+from luxloop.words import Words, parse
+
+W = TypeVar("W", bound=Words)
 
 RECORD_HEAD_BYTES = 9  # opcode and length
 
@@ -142,6 +145,19 @@ class RunJournal:
     def attachments(self) -> dict[str, bytes]:
         """The attached files by name; of several starts the last one's counts."""
         return {name: data for segment in self.segments for name, data in segment.opening[1].items()}
+
+    def attached(self, name: str, model: type[W]) -> W:
+        """An attached JSON file as words. Raises InputError where it is not there, or is none of them."""
+        files = self.attachments()
+        if name not in files:
+            raise InputError(
+                name, sorted(files), f"an attachment of the journal in {self.folder}", "is it a campaign?"
+            )
+        try:
+            plain = json.loads(files[name])
+        except ValueError as error:
+            raise InputError(name, files[name][:40], "JSON", f"luxloop audit verify {self.folder}") from error
+        return parse(model, plain, name)
 
     def records(self, *topics: str) -> Iterator[Record]:
         """The records of these topics (all but `/chain` where none is named), in the order of writing."""
