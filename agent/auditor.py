@@ -3,35 +3,40 @@
     campaign.json, plan.json ─▶ designer ─▶ Runner ──action──▶ a door that answers from the journal
                                                  ◀──step────
 
-Each action is compared with the step that came of it: the design, what the learner was like (epsilon, Q, loss, number
-of updates, hash of its weights), a finalist's seed; at the end the reason why the walk ended. After an action that
-differs nothing can be compared: the designer would be told of a design that it did not propose.
+Each action is compared with the step that came of it: the design, the move, what the learner was like (epsilon, Q,
+loss, number of updates, hash of its weights), a finalist's seed; at the end why the walk ended, and what was found.
+Every step on record must have been asked for, and in a run that was over every step that is asked for must be on
+record. After an action that differs nothing can be compared: the designer would be told of a design that it did not
+propose.
 """
 
 from __future__ import annotations
 
-import json
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-from agent.campaign import Past, Runner, WalkEnd
+from agent.campaign import Found, Past, Runner, WalkEnd
 from agent.config import Campaign
 from agent.designers import designer
 from agent.moves import Space
 from luxloop.audit import Compared, Place
-from luxloop.campaign import Action, AgentRecord, Plan, Step
+from luxloop.campaign import Action, AgentRecord, Move, Plan, Step
 from luxloop.design import Design
 from luxloop.journal.reader import RunJournal
-from luxloop.words import parse
+from luxloop.journal.topics import ENDED
+from luxloop.model import flat
 
 EXACT = ("episode", "greedy", "updates")
 REAL = ("epsilon", "q", "loss")
 OTHER_MACHINE = 1e-3
 """Relative: how far Q and loss may be off where packages or processor are others; float32 rounds by 6e-8."""
 NEEDED = ("plan.json", "campaign.json")
+RESULT = ("reason", "steps", "evaluations", "episodes", "start", "best", "without_dbr", "finalists")
+"""Of what was found: all that no clock decides."""
 TIME = "time:"
+NOWHERE, NEVER_ASKED, HAS_ENDED = "not on record", "the designer never asks for it", "none: the designer has ended"
 
 
 class JournalEnds(Exception):  # noqa: N818  no error: a run that was killed or goes on is re-decided as far as it goes
@@ -43,42 +48,80 @@ class Diverged(Exception):  # noqa: N818  it is told as a comparison
 
 
 def re_decide(journal: RunJournal, say: Callable[[Compared], None], *, same_machine: bool) -> None:
-    """Compares every proposal of the designer, and what its learner was like, with the journal."""
+    """Compares every proposal of the designer, what its learner was like, and what it found, with the journal.
+
+    Raises InputError where plan or settings on record are none.
+    """
     attachments = journal.attachments()
     for name in NEEDED:
         if name not in attachments:
             Place(say).nothing("proposal", f"there is no {name}: it is not a run of `luxloop campaign run` or `grid`")
             return
-    plan = parse(Plan, json.loads(attachments["plan.json"]), "plan.json")
-    campaign = parse(Campaign, json.loads(attachments["campaign.json"]), "campaign.json")
+    plan, campaign = journal.attached("plan.json", Plan), journal.attached("campaign.json", Campaign)
     past = read_back(journal)
     door = RecordedDoor(plan, past, say, same_machine)
     chooser = designer(
         campaign.designer, Space.of(plan), seed=campaign.seed, lanes=campaign.lanes, start=campaign.start,
         learning=campaign.learner,
     )  # fmt: skip
-    by_clock = past.end if past.end is not None and past.end.reason.startswith(TIME) else None
+    timed = past.end is not None and past.end.reason.startswith(TIME) and campaign.stop.time_s is not None
     walked = sum(not one.step.final for one in past.steps.values())
     runner = Runner(
         door, chooser, campaign.stop.model_copy(update={"time_s": None}), lanes=campaign.lanes, seed=campaign.seed,
-        past=Past(walked, end=by_clock), on_walk_end=lambda end: walk_end(past.end, end, Place(say)),
+        past=Past(walked, end=past.end if timed else None), on_walk_end=lambda end: walk_end(past, end, Place(say)),
     )  # fmt: skip
     try:
-        runner.run(campaign.finalists, without_dbr=plan.kind == "campaign")
-    except Diverged:
-        for one in door.left():
-            one.place(say).nothing("proposal", "an earlier proposal differs")
-    except JournalEnds:
-        pass
-    else:
-        for one in door.left():
-            one.place(say).exact("proposal", str(one.step.design), "none: the designer has ended")
+        found = runner.run(campaign.finalists, without_dbr=plan.kind == "campaign")
+    except (Diverged, JournalEnds):
+        found = None
+    left_over(door, found, say)
+    if found is not None and not door.diverged:
+        result(past, found, Place(say))
 
 
-def walk_end(logged: WalkEnd | None, now: WalkEnd, at: Place) -> None:
+def walk_end(past: Record, now: WalkEnd, at: Place) -> None:
     """Compares when and why the walk ended; a run that was killed at that moment does not say it."""
-    if logged is not None:
-        at.exact("end of the walk", logged.line, now.line)
+    if past.end is not None or past.over:
+        at.exact("end of the walk", past.end.line if past.end else NOWHERE, now.line)
+
+
+def left_over(door: RecordedDoor, found: Found | None, say: Callable[[Compared], None]) -> None:
+    """Compares what is on record and was never asked for, and what was asked for and is not on record.
+
+    Of a run that is not over the journal may end before its designer does.
+    """
+    for one in door.left():
+        if door.diverged:
+            one.place(say).nothing("proposal", "an earlier proposal differs")
+        else:
+            now = NEVER_ASKED if found is None else HAS_ENDED
+            one.place(say).exact("proposal", words(one.step.design, one.step.final, one.step.role), now)
+    for action in door.missing if door.past.over and not door.diverged else ():
+        at = Place(say, step=f"lane {action.lane}, action {action.number}")
+        at.exact("proposal", NOWHERE, words(door.aim(action), action.final, action.role), "the run is over")
+
+
+def result(past: Record, found: Found, at: Place) -> None:
+    """Compares what was found with every result on record; a run that is over has one."""
+    now = found.summary()
+    for logged in past.results or [{}] * past.over:
+        for name in RESULT:
+            at.exact(f"result, {name}", *differing({name: logged.get(name, NOWHERE)}, {name: now[name]}))
+
+
+def differing(logged: dict[str, Any], now: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Those leaves of two documents that are not the same, by dotted path; of a list the places are names."""
+    ours, theirs = (flat(_by_place(one)) for one in (logged, now))
+    names = [name for name in {**ours, **theirs} if ours.get(name) != theirs.get(name)]
+    return {name: ours.get(name) for name in names}, {name: theirs.get(name) for name in names}
+
+
+def _by_place(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {str(key): _by_place(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return {str(place): _by_place(item) for place, item in enumerate(value)}
+    return value
 
 
 @dataclass(frozen=True)
@@ -97,10 +140,12 @@ class OnRecord:
 
 @dataclass(frozen=True)
 class Record:
-    """A run's steps by (lane, number), and how its walk ended."""
+    """A run's steps by (lane, number), how its walk ended, what was found; `over`: its designer had nothing more."""
 
     steps: dict[tuple[int, int], OnRecord] = field(default_factory=dict)
     end: WalkEnd | None = None
+    results: list[dict[str, Any]] = field(default_factory=list)
+    over: bool = False
 
 
 def read_back(journal: RunJournal) -> Record:
@@ -109,7 +154,8 @@ def read_back(journal: RunJournal) -> Record:
     agents: dict[tuple[int, int], AgentRecord] = {}
     seeds: dict[str, str] = {}
     lines: list[str] = []
-    for entry in journal.records("/request/ray", "/step", "/agent", "/log"):
+    results: list[dict[str, Any]] = []
+    for entry in journal.records("/request/ray", "/step", "/agent", "/note", "/log"):
         match entry.topic:
             case "/request/ray":
                 seeds[entry.value.task_id] = str(entry.value.inputs.get("seed", ""))
@@ -117,13 +163,16 @@ def read_back(journal: RunJournal) -> Record:
                 steps[entry.value.lane, entry.value.number] = entry.value, entry.sequence
             case "/agent":
                 agents[entry.value.lane, entry.value.number] = entry.value
+            case "/note":
+                results.append(entry.value.result)
             case _:
                 lines.append(entry.value.message)
     found = {
         key: OnRecord(step, sequence, agents.get(key), seeds.get(step.task_id or ""))
         for key, (step, sequence) in steps.items()
     }
-    return Record(found, WalkEnd.among(lines))
+    over = bool(results) or any(line.startswith(ENDED) for line in lines)
+    return Record(found, WalkEnd.among(lines), results, over)
 
 
 class RecordedDoor:
@@ -133,7 +182,8 @@ class RecordedDoor:
 
     def __init__(self, plan: Plan, past: Record, say: Callable[[Compared], None], same_machine: bool) -> None:
         self.run = plan.run
-        self._plan, self._past, self._say, self._same = plan, past, say, same_machine
+        self.past, self.missing, self.diverged = past, list[Action](), False
+        self._plan, self._say, self._same = plan, say, same_machine
         self._lane_at: dict[int, Design] = {}
         self._seen: set[tuple[int, int]] = set()
         self._lock = threading.Lock()
@@ -141,12 +191,14 @@ class RecordedDoor:
     def act(self, action: Action) -> Step:
         """The step on record. Raises JournalEnds where there is none, Diverged where it is of another design."""
         key = action.lane, action.number
-        one = self._past.steps.get(key)
-        if one is None:
-            raise JournalEnds
+        one = self.past.steps.get(key)
         with self._lock:
+            if one is None:
+                self.missing.append(action)
+                raise JournalEnds
             self._seen.add(key)
             if not self._proposal(action, one):
+                self.diverged = True
                 raise Diverged
             if action.agent is not None:
                 self._learner(action.agent, one)
@@ -154,22 +206,24 @@ class RecordedDoor:
 
     def left(self) -> list[OnRecord]:
         """What was never asked for."""
-        return [one for key, one in self._past.steps.items() if key not in self._seen]
+        return [one for key, one in self.past.steps.items() if key not in self._seen]
 
     def _proposal(self, action: Action, one: OnRecord) -> bool:
-        """Compare what is asked for: the design, whether it is a final one and for what, a final one's seed."""
+        """Compare what is asked for: design and move, whether it is a final one and for what, a final one's seed."""
         step, at = one.step, one.place(self._say)
-        design = self._aim(action)
+        design = self.aim(action)
         if not step.final:
             self._lane_at[action.lane] = step.design
         logged = words(step.design, step.final, step.role)
         margin = "" if action.agent is None or action.agent.q is None else f"chosen with Q = {action.agent.q:.6g}"
         same = at.exact("proposal", logged, words(design, action.final, action.role), margin)
+        if same:
+            at.exact("move", _moved(step.move), _moved(action.move))
         if same and action.final and one.seed is not None:
             at.exact("seed", one.seed, action.seed)
         return same
 
-    def _aim(self, action: Action) -> Design:
+    def aim(self, action: Action) -> Design:
         """The design that an action leads to; a move out of the bounds leaves its lane where it is."""
         if action.design is not None or action.move is None:
             assert action.design is not None  # noqa: S101  # an action has a design or a move
@@ -181,7 +235,7 @@ class RecordedDoor:
         """Compare what the learner is like with what it was like."""
         logged, at = one.agent, one.place(self._say)
         if logged is None:
-            at.nothing("learner", "nothing of it on record")
+            at.exact("learner", "nothing of the learner on record", f"episode {now.episode}, epsilon {now.epsilon:g}")
             return
         then, again = ([getattr(record, name) for name in EXACT] for record in (logged, now))
         at.exact("episode, greedy, updates", then, again)
@@ -202,3 +256,7 @@ class RecordedDoor:
 def words(design: Design, final: bool, role: Any) -> str:
     """A proposal in words."""
     return f"{design}{f', final ({role})' if final else ''}"
+
+
+def _moved(move: Move | None) -> str:
+    return f"{move.variable} by {move.steps:+d} steps" if move else "none: a design is asked for"

@@ -152,10 +152,14 @@ def list_(runs: Runs = None, as_json: Json = False) -> None:
 
 def _row(overview: Callable[[Path], dict[str, Any]], folder: Path) -> dict[str, Any]:
     """A run of the list; one that cannot be read does not hide the others."""
+    row = {"run": folder.name, "folder": str(folder)}
     try:
+        refuse_unreadable(folder)
         return overview(folder)
-    except LuxloopError as error:
-        return {"run": folder.name, "folder": str(folder), "damaged": str(error)}
+    except InputError as error:
+        return row | {"damaged": str(error), "mend": error.mend}
+    except (LuxloopError, OSError, ValueError, KeyError) as error:  # bytes that are not as they were written
+        return row | {"damaged": str(error), "mend": ""}
 
 
 def status(
@@ -211,6 +215,7 @@ def folder_of(settings: Settings, run: str) -> Path:
 
     for folder in (settings.runs_dir / run, Path(run)):
         if any(folder.glob("audit-*.mcap")):
+            refuse_unreadable(folder)
             return folder
     known = ", ".join(path.name for path in runs_of(settings)[-5:]) or "there is none yet"
     raise InputError("run", run, f"the id of a run in {settings.runs_dir}: {known}", "luxloop campaign list")

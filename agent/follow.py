@@ -25,7 +25,6 @@ from agent.campaign import FINALISTS, Progress
 from agent.in_words import line, plain
 from agent.live import live
 from agent.overview import RUNNING, overview
-from agent.recorded import ENDED
 from luxloop.bus import Bus, Heard, Inbox, Presence
 from luxloop.bus.frame import decode
 from luxloop.bus.keys import at
@@ -36,7 +35,7 @@ from luxloop.errors import InputError, RemoteError
 from luxloop.journal.reader import RunJournal, segments_of
 from luxloop.journal.scan import Scan
 from luxloop.journal.segment import being_written
-from luxloop.journal.topics import Record
+from luxloop.journal.topics import Close, Record
 from luxloop.messages import Replayed
 from luxloop.settings import Settings
 
@@ -61,8 +60,9 @@ class Seen:
             agent = entry.value
             self.progress.epsilon = agent.epsilon
             self.progress.episodes = max(self.progress.episodes, agent.episode + 1)
-        elif entry.topic == "/log" and entry.value.message.startswith(ENDED):
-            self.reason = entry.value.message.removeprefix(ENDED)
+        elif entry.topic == "/log":
+            close = Close.of(entry.value.message)
+            self.reason = close.reason if close else self.reason
         elif entry.topic == "/step":
             step: Step = entry.value
             self._step(step)

@@ -94,6 +94,7 @@ class Start:
     model: Model
     on_record: tuple[Step, ...] = ()
     past: Past | None = None
+    root: str | None = None
     local: bool = True
     show: bool = False
     say: bool = False
@@ -105,7 +106,7 @@ class Start:
         with (
             interruptible() as interrupted,
             Client(self.settings, local=self.local, patience_s=PATIENCE_S, ray_workers=workers) as client,
-            RunDoor.begin(client, plan, self._facts(), self._attachments(), resume=self.past is not None) as door,
+            RunDoor.begin(client, plan, self._facts(), self._attachments(), **self._which()) as door,
             live(self.show, plan.run, campaign.stop.evaluations, client) as look,
         ):
             door.on_lost = lost(self.show)
@@ -119,7 +120,12 @@ class Start:
             elif runner.progress.stage == WALK:
                 checkpoints.save(runner)
             walk = tuple(runner.designer.known.uniformity.values())
-            return Launched(plan.run, found, door.end(found.reason), found.reason == INTERRUPTED, walk)
+            stopped = found.reason == INTERRUPTED
+            return Launched(plan.run, found, door.end(found.reason, complete=not stopped), stopped, walk)
+
+    def _which(self) -> dict[str, Any]:
+        """Whether a run is gone on with, and which journal of it is meant."""
+        return {"resume": self.past is not None, "root": self.root}
 
     @staticmethod
     def _on_record(door: RunDoor) -> str:

@@ -5,9 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from agent.campaign import INTERRUPTED
 from agent.in_words import plain
-from agent.recorded import ENDED
 from luxloop.journal.reader import RunJournal
 
 RUNNING, OVER, STOPPED, KILLED = "running", "ended", "interrupted", "killed"
@@ -47,15 +45,10 @@ def overview(folder: Path) -> dict[str, Any]:
 def state_of(journal: RunJournal) -> tuple[str, str]:
     """Whether a run is running, has ended, was interrupted, or was killed; and the reason on record.
 
-    Killed: its last segment has no end, and nobody writes it. Interrupted: it was closed before the designer had put
-    its result on record.
+    Killed: its last segment has no end, and nobody writes it. Interrupted: it was closed with something left to do.
     """
     if journal.being_written:
         return RUNNING, ""
-    lines = [entry.value.message for entry in journal.segments[-1].last("/log", 1)]
-    if not lines or not lines[0].startswith(ENDED):
+    if journal.close is None:
         return KILLED, "its journal has no end, and nobody writes it"
-    reason = lines[0].removeprefix(ENDED)
-    by_a_campaign = "campaign.json" in journal.attachments()
-    unfinished = by_a_campaign and not journal.last("/note", 1)
-    return (STOPPED if reason == INTERRUPTED or unfinished else OVER), reason
+    return (OVER if journal.close.complete else STOPPED), journal.close.reason

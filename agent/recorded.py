@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,11 +14,9 @@ from agent.moves import key_of
 from luxloop.campaign import AgentRecord, Plan, Step
 from luxloop.errors import InputError
 from luxloop.journal.reader import RunJournal
-from luxloop.journal.topics import CHAIN
-from luxloop.words import parse
+from luxloop.journal.topics import CHAIN, Close
 
 Document = dict[str, Any]
-ENDED = "ended: "  # how the controller's last line of a run begins
 
 
 @dataclass(frozen=True, eq=False)  # a step is itself; comparing thousands by value takes seconds
@@ -41,8 +38,9 @@ class Told:
 class Recorded:
     """A run as its journal has it.
 
-    `notes` are the results that designers put on record, `lines` its log, `ended` why it was ended ("" where nothing
-    says so), `state` finished, being written, or not finished; `records` and `root` of the chain at the last commit.
+    `notes` are the results that designers put on record, `lines` its log, `close` why it was closed (None where it
+    goes on, or was killed), `state` finished, being written, or not finished; `records` and `root` of the chain at
+    the last commit.
     """
 
     folder: Path
@@ -53,7 +51,7 @@ class Recorded:
     told: list[Told]
     notes: list[Document]
     lines: list[str]
-    ended: str
+    close: Close | None
     state: str
     records: int
     root: str
@@ -110,14 +108,14 @@ def recorded(folder: Path) -> Recorded:
     finished = journal.segments[-1].index is not None
     return Recorded(
         folder=folder,
-        plan=parse(Plan, json.loads(attachments["plan.json"]), "plan.json"),
+        plan=journal.attached("plan.json", Plan),
         facts=journal.metadata("run"),
         environment=journal.metadata("environment"),
         attachments=attachments,
         told=told,
         notes=notes,
         lines=lines,
-        ended=next((line.removeprefix(ENDED) for line in reversed(lines) if line.startswith(ENDED)), ""),
+        close=journal.close,
         state="finished" if finished else "being written" if journal.being_written else "not finished",
         records=chain[0].records if chain else 0,
         root=chain[0].root if chain else "0" * 64,

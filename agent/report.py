@@ -210,7 +210,7 @@ def _provenance(run: Recorded) -> Document:
         "kind": plan.kind,
         "folder": run.folder.name,
         "state": run.state,
-        "ended": run.ended,
+        "ended": run.close.reason if run.close else "",
         "designer": str(facts.get("designer", "")),
         "seed": facts.get("seed"),
         "command_line": shlex.join(["luxloop", *map(str, argv)]) if argv else "",

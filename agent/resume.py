@@ -6,20 +6,19 @@ walks on. Steps that are on record come back as they were, so the run ends as if
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable
 from pathlib import Path
 
-from agent.campaign import INTERRUPTED, Past, WalkEnd
+from agent.campaign import Past, WalkEnd
 from agent.config import Campaign
 from agent.launch import Launched, Start, warn
 from agent.recorded import Recorded, Told, recorded
 from luxloop import __version__
-from luxloop.errors import InputError, LuxloopError
+from luxloop.errors import InputError
+from luxloop.journal.reader import RunJournal
 from luxloop.model import Model
 from luxloop.model_file import diff, find_model, parse_toml
 from luxloop.settings import Settings, usable_cache
-from luxloop.words import parse
 
 NEEDED = ("plan.json", "campaign.json", "model.toml")
 
@@ -41,6 +40,7 @@ def resume(
     """
     run = recorded(folder)
     refuse_ended(run)
+    refuse_renamed(run)
     missing = [name for name in NEEDED if name not in run.attachments]
     if missing:
         raise InputError(str(folder), f"no {', '.join(missing)}", "a run that `luxloop campaign run` or `grid` began")
@@ -48,18 +48,28 @@ def resume(
     model = parse_toml(run.attachments["model.toml"].decode(), f"model.toml of {run.plan.run}")
     if not as_recorded:
         refuse_changed(model, run.plan.model)
-    campaign = parse(Campaign, json.loads(run.attachments["campaign.json"]), "campaign.json")
+    campaign = RunJournal(folder).attached("campaign.json", Campaign)
     usable_cache(settings)
     steps = tuple(told.step for told in run.told)
     past = Past(sum(not step.final for step in steps), wall_s(run.told), WalkEnd.among(run.lines))
-    return Start(settings, campaign, run.plan, model, steps, past, local=local, show=show, say=say).go()
+    return Start(settings, campaign, run.plan, model, steps, past, run.root, local=local, show=show, say=say).go()
 
 
 def refuse_ended(run: Recorded) -> None:
     """InputError where nothing is left to do."""
-    if run.state == "finished" and run.notes and run.ended != INTERRUPTED:
-        mend = f"luxloop campaign report {run.plan.run}"
-        raise InputError("RUN", run.plan.run, "a run that was interrupted", f"it has ended ({run.ended}): {mend}")
+    if run.state == "finished" and run.close is not None and run.close.complete:
+        mend = f"it has ended ({run.close.reason}): luxloop campaign report {run.plan.run}"
+        raise InputError("RUN", run.plan.run, "a run that was interrupted", mend)
+
+
+def refuse_renamed(run: Recorded) -> None:
+    """InputError for a copy under another name: the controller would go on with the run of its own name."""
+    folder = run.folder.resolve()
+    if folder.name != run.plan.run:
+        there = folder.with_name(run.plan.run)
+        first = f"move {there} away, then " if there.exists() else ""
+        mend = f"it holds the run {run.plan.run!r}: {first}rename {folder} to {there.name}"
+        raise InputError("RUN", str(folder), "the folder of a run under the run's own name", mend)
 
 
 def refuse_another_release(run: Recorded) -> None:
@@ -72,11 +82,10 @@ def refuse_another_release(run: Recorded) -> None:
 
 def refuse_changed(recorded_model: Model, source: str) -> None:
     """InputError with the differences where the model's file is not what the run was begun with."""
-    try:
-        now = find_model(source)
-    except LuxloopError as error:
-        warn(f"the model's file cannot be read ({error}); going on with the one in the journal")
+    if source.endswith(".toml") and not Path(source).exists():
+        warn(f"the model's file {source} is not there; going on with the one in the journal")
         return
+    now = find_model(source)
     if now.sha256 == recorded_model.sha256:
         return
     changes = "; ".join(map(str, diff(recorded_model, now))) or "its text"

@@ -18,7 +18,7 @@ from env_controller import actions as a
 from env_controller.audit.machine import machine
 from env_controller.environment import EnvironmentAgent
 from env_controller.events import Command
-from env_controller.past import Reader, never_begun, was_begun
+from env_controller.past import Reader, ended_before, never_begun, was_begun
 from env_controller.trials import Past
 from luxloop.bus import Asked
 from luxloop.bus.frame import Array, decode, encode
@@ -28,6 +28,7 @@ from luxloop.errors import LuxloopError, RemoteError
 from luxloop.failure import Code, Failure
 from luxloop.journal.journal import Journal
 from luxloop.journal.topics import (
+    Close,
     Record,
     log_record,
     map_record,
@@ -109,11 +110,11 @@ class Campaigns:
             if not begin.resume or self._lives(run.begin.designer):
                 owner = f"the run {name!r} is in use by the designer {run.begin.designer} (process id and a number)"
                 raise _refused(owner, "end that one first, or take another id")
-            self._close(name, f"its designer {run.begin.designer} has gone", lost=True)
+            self._close(name, _stopped(f"its designer {run.begin.designer} has gone"), lost=True)
             run = None
         if run is None:
             again = begin.resume or was_begun(self._folder / name, begin)
-            past = self._reader.past(asked, begin.plan) if again else self._new(begin)
+            past = self._reader.past(asked, begin) if again else self._new(begin)
             if past is None:  # being read: the question is put once more
                 return
             run = self._opened(begin, past)
@@ -167,9 +168,13 @@ class Campaigns:
     def end(self, asked: Asked, end: End) -> None:
         """Finish a run's journal; records and root go back."""
         designer, ended = self._finished.get(end.run, ("", None))
-        if ended is None or designer != end.designer:
+        if designer != end.designer:
+            ended = None
+        if ended is None and end.run not in self._runs:
+            ended = ended_before(self._folder / end.run, end)
+        if ended is None:
             self._open(end.run, end.designer)
-            ended = self._close(end.run, end.reason)
+            ended = self._close(end.run, Close(end.reason, end.complete))
         asked.reply(ended)
 
     def ended(self, result: Result) -> None:
@@ -188,12 +193,13 @@ class Campaigns:
                         lane.asked = None
                 waited_for = any(lane.asked is not None for lane in run.lanes.values())
             if not waited_for and now_s - run.heard_s > SILENT_S:
-                self._close(name, f"nothing heard of its designer {run.begin.designer} for {SILENT_S:g} s", lost=True)
+                silent = f"nothing heard of its designer {run.begin.designer} for {SILENT_S:g} s"
+                self._close(name, _stopped(silent), lost=True)
 
     def stop(self) -> None:
         """The controller ends: every journal is finished. Designers wait for the next one, which goes on."""
         for name in list(self._runs):
-            self._close(name, "the controller was stopped", lost=True, code="not_found")
+            self._close(name, _stopped("the controller was stopped"), lost=True, code="not_found")
 
     def _open(self, name: str, designer: str) -> OpenRun:
         run = self._runs.get(name)
@@ -281,17 +287,17 @@ class Campaigns:
             lane.asked.answer(frame)
             lane.asked = None
 
-    def _close(self, name: str, reason: str, *, lost: bool = False, code: Code = "refused") -> Ended:
+    def _close(self, name: str, close: Close, *, lost: bool = False, code: Code = "refused") -> Ended:
         """End a run: nothing more is computed for it, its journal is finished; who waits is told so with `code`."""
         run = self._runs.pop(name)
         self._perform(self.agent.handle(a.Closed(time.monotonic(), name)))
         with self._lock:
             for lane in run.lanes.values():
                 if lane.asked is not None:
-                    lane.asked.reply(Failure(code=code, message=f"the run {name!r} has ended: {reason}"))
+                    lane.asked.reply(Failure(code=code, message=f"the run {name!r} is closed, {close.line}"))
                     lane.asked = None
         try:
-            run.journal.put([log_record(f"ended: {reason}", run.sequence, time.time_ns())], lambda _: None)
+            run.journal.put([log_record(close.line, run.sequence, time.time_ns())], lambda _: None)
             mark = run.journal.finish()
         except LuxloopError:
             if not lost:
@@ -326,6 +332,10 @@ def _with_cut(step: Step, result: Result | None) -> Step:
         return step
     x_um, lx, error_lx = (tuple(map(float, result.arrays[name])) for name in names)
     return step.model_copy(update={"cut": Cut(x_um=x_um, illuminance_lx=lx, illuminance_error_lx=error_lx)})
+
+
+def _stopped(reason: str) -> Close:
+    return Close(reason, complete=False)
 
 
 def _failure(error: LuxloopError) -> Failure:

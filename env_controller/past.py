@@ -8,38 +8,61 @@ import threading
 from collections.abc import Callable
 from pathlib import Path
 
-from env_controller.audit.checks import verify
+from env_controller.audit.checks import GIVEN, verify
 from env_controller.trials import Past, film_task
 from luxloop import __version__
 from luxloop.bus import Asked
-from luxloop.campaign import Begin, Plan, Step
+from luxloop.campaign import Begin, End, Ended, Plan, Step
 from luxloop.errors import LuxloopError, RemoteError
 from luxloop.failure import Failure
 from luxloop.journal.chain import Mark
 from luxloop.journal.reader import RunJournal, segments_of, tail_of
+from luxloop.journal.segment import read_side_file
+from luxloop.journal.topics import Close
 from luxloop.ray import Film
-from luxloop.words import canonical, parse
+from luxloop.words import canonical
 
 log = logging.getLogger(__name__)
 
 
-def read_back(folder: Path, plan: Plan) -> Past:
-    """The past of the run in `folder`, which must be the one that `plan` describes.
+def read_back(folder: Path, begin: Begin) -> Past:
+    """The past of the run in `folder`, which must be the one that `begin` speaks of.
 
-    Raises RemoteError: not_found where there is no such run, refused where it is being written, is of another plan
-    or release, or is not what was written.
+    Raises RemoteError refused where there is no such run, where it is being written, has ended, was taken over by
+    another designer, is of another plan or release, or is not what was written.
     """
     try:
         journal = RunJournal(folder)
-        _refuse_another(journal, plan)
-        broken = [finding for finding in verify(folder, None, None).findings if finding.verdict == "broken"]
+        _refuse_another(journal, begin)
+        broken = [finding for finding in verify(folder, begin.root, None).findings if finding.verdict == "broken"]
+        if [finding.what for finding in broken] == [GIVEN]:
+            mend = "name the folder that this controller writes to (LUXLOOP_RUNS), or put yours in its place"
+            raise _refused(f"the journal in {folder} is not the one that is to be gone on with", mend)
         if broken:
-            raise _refused(f"{broken[0].what}: {broken[0].found}", f"luxloop audit recover {folder}")
-        return _read(journal, plan)
+            raise _refused(f"{broken[0].what}: {broken[0].found}", f"luxloop audit recover {folder} --replace")
+        return _read(journal, begin.plan)
     except RemoteError:
         raise
     except (LuxloopError, OSError) as error:
         raise _refused(str(error), f"luxloop audit verify {folder}") from error
+
+
+def ended_before(folder: Path, end: End) -> Ended | None:
+    """What a controller before us answered, or would have, when this designer ended its run; None if it has not."""
+    try:
+        journal = RunJournal(folder)
+        mine = journal.metadata("run").get("designer") == end.designer
+        mark = read_side_file(folder)
+        if (
+            mine
+            and mark is not None
+            and journal.segments[-1].index is not None
+            and journal.close == Close(end.reason, end.complete)
+        ):
+            return Ended(run=end.run, records=mark.records, root=mark.root, folder=str(folder.resolve()))
+    except (LuxloopError, OSError):
+        pass
+    return None
 
 
 class Reader:
@@ -50,36 +73,37 @@ class Reader:
 
     def __init__(self, folder: Path, later: Callable[[Asked], object]) -> None:
         self._folder, self._later = folder, later
-        self._askers: dict[str, list[Asked]] = {}
-        self._pasts: dict[str, Past | LuxloopError] = {}
+        self._askers: dict[tuple[str, str], list[Asked]] = {}  # by run and designer
+        self._pasts: dict[tuple[str, str], Past | LuxloopError] = {}
         self._lock = threading.Lock()
 
-    def past(self, asked: Asked, plan: Plan) -> Past | None:
-        """The past of a plan's run; None while it is being read. Raises what `read_back` does."""
+    def past(self, asked: Asked, begin: Begin) -> Past | None:
+        """The past of the run to go on with; None while it is being read. Raises what `read_back` does."""
+        asker = begin.plan.run, begin.designer
         with self._lock:
-            found = self._pasts.pop(plan.run, None)
+            found = self._pasts.pop(asker, None)
             if found is None:
-                askers = self._askers.setdefault(plan.run, [])
+                askers = self._askers.setdefault(asker, [])
                 askers.append(asked)
                 if len(askers) == 1:
-                    threading.Thread(target=self._read, args=(plan,), name="past", daemon=True).start()
+                    threading.Thread(target=self._read, args=(asker, begin), name="past", daemon=True).start()
                 return None
         if isinstance(found, LuxloopError):
             raise found
         return found
 
-    def _read(self, plan: Plan) -> None:
+    def _read(self, asker: tuple[str, str], begin: Begin) -> None:
         found: Past | LuxloopError
         try:
-            found = read_back(self._folder / plan.run, plan)
+            found = read_back(self._folder / begin.plan.run, begin)
         except LuxloopError as error:
             found = error
         except Exception as error:  # whoever asked is told, and nobody waits for ever
-            log.exception("the journal of %s could not be read back", plan.run)
+            log.exception("the journal of %s could not be read back", begin.plan.run)
             found = RemoteError(Failure.of(error, "controller"))
         with self._lock:
-            self._pasts[plan.run] = found
-            askers = self._askers.pop(plan.run)
+            self._pasts[asker] = found
+            askers = self._askers.pop(asker)
         for asked in askers:
             self._later(asked)
 
@@ -102,23 +126,29 @@ def never_begun(folder: Path) -> bool:
         return False
 
 
-def _refuse_another(journal: RunJournal, plan: Plan) -> None:
+def _refuse_another(journal: RunJournal, begin: Begin) -> None:
+    """Raise RemoteError for a run that is in use, has ended, or is not that of this designer and plan."""
+    plan, name = begin.plan, begin.plan.run
     if journal.being_written:
         owner = journal.metadata("environment")
         who = f"process {owner.get('pid', '?')} on {owner.get('host', '?')}"
         raise _refused(f"the journal in {journal.folder} is being written by {who}", "end that one first")
+    if journal.close is not None and journal.close.complete and journal.segments[-1].index is not None:
+        why = f"the run {name!r} in {journal.folder} has ended ({journal.close.reason})"
+        raise _refused(why, f"nothing is left to do: luxloop campaign report {name}")
+    *before, last = [segment.opening[0].get("run", {}).get("designer") for segment in journal.segments]
+    if begin.designer in before and begin.designer != last:
+        why = f"the run {name!r} was taken over by the designer {last}, while this one was not heard of"
+        raise _refused(why, f"luxloop campaign status {name}")
     release = journal.metadata("run").get("version", "")
     if release != __version__:
         mend = f"install luxloop {release}, or begin a new run"
         raise _refused(f"the run was begun by luxloop {release}, this is {__version__}", mend)
-    attached = journal.attachments()
-    if "plan.json" not in attached:
-        raise _refused("the run has no plan on record", "it was not begun by `luxloop campaign run` or `grid`")
-    recorded = parse(Plan, json.loads(attached["plan.json"]), "plan.json")
+    recorded = journal.attached("plan.json", Plan)
     if recorded != plan:
         ours, theirs = (json.loads(canonical(one)) for one in (plan, recorded))
-        differ = ", ".join(name for name in ours if ours[name] != theirs.get(name))
-        raise _refused(f"the run {plan.run!r} was begun with another plan: {differ} differ", "take another id")
+        differ = ", ".join(field for field in ours if ours[field] != theirs.get(field))
+        raise _refused(f"the run {name!r} was begun with another plan: {differ} differ", "take another id")
 
 
 def _read(journal: RunJournal, plan: Plan) -> Past:

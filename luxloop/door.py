@@ -57,18 +57,17 @@ class RunDoor:
         attachments: Mapping[str, str] | None = None,
         *,
         resume: bool = False,
+        root: str | None = None,
     ) -> RunDoor:
-        """Open a new run, or with `resume` one that exists.
+        """Open a new run, or with `resume` one that exists; `root` then says which journal is meant.
 
         Raises RemoteError refused where the id is taken, where the run to go on with is another one, in use or
         damaged, and where its folder cannot be written.
         """
         designer = f"{os.getpid()}-{uuid4().hex[:8]}"
         client.announce(designer)
-        begin = Begin(
-            plan=plan, designer=designer, facts=dict(facts or {}), attachments=dict(attachments or {}), resume=resume
-        )
-        return cls(client, begin)
+        given = {"facts": dict(facts or {}), "attachments": dict(attachments or {})}
+        return cls(client, Begin(plan=plan, designer=designer, resume=resume, root=root, **given))
 
     def act(self, action: Action, until: Interrupt | None = None) -> Step:
         """The step that comes of an action, once it is on the controller's disk. Asks again while it takes."""
@@ -89,7 +88,7 @@ class RunDoor:
         raise RemoteError(self._gone("the controller opens it and loses it again"))
 
     def _open_again(self) -> None:
-        again = self._begin.model_copy(update={"resume": True})
+        again = self._begin.model_copy(update={"resume": True, "root": None})
         try:
             self.begun = _asked(self._client, "begin", again, {}).expect(Begun)
         except RemoteError as error:
@@ -112,10 +111,10 @@ class RunDoor:
         )
         self._asked("note", note).expect(Receipt)
 
-    def end(self, reason: str, patience_s: float = LOST_S) -> Ended:
-        """Finish the journal; records and root, which should leave the machine."""
+    def end(self, reason: str, patience_s: float = LOST_S, *, complete: bool = False) -> Ended:
+        """Finish the journal; records and root, which should leave the machine. `complete`: nothing is left to do."""
         if self.ended is None:
-            end = End(run=self.run, designer=self.designer, reason=reason)
+            end = End(run=self.run, designer=self.designer, reason=reason, complete=complete)
             self.ended = self._asked("end", end, patience_s=patience_s).expect(Ended)
         return self.ended
 
@@ -130,10 +129,14 @@ class RunDoor:
                 if error is None:
                     self.end(self.reason)
                 else:
-                    self.end(f"{type(error).__name__}: {error}"[:1000], patience_s=0.0)
+                    self.end(_why_left(error), patience_s=0.0)
             except RemoteError:
                 if error is None:
                     raise
+
+
+def _why_left(error: BaseException) -> str:
+    return "interrupted" if isinstance(error, KeyboardInterrupt) else f"{type(error).__name__}: {error}"[:1000]
 
 
 def _asked(

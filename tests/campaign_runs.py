@@ -15,6 +15,7 @@ from luxloop.design import Bounds, Design
 from luxloop.failure import Failure
 from luxloop.journal.journal import Journal
 from luxloop.journal.topics import (
+    Close,
     Record,
     log_record,
     map_record,
@@ -128,7 +129,9 @@ class RunOnDisk:
 
     def finish(self, reason: str = "budget: 12 evaluations") -> None:
         """End the run as the controller does."""
-        self.journal.put([log_record(f"ended: {reason}", self.sequence, self._now_ns())], lambda _: None)
+        self.journal.put(
+            [log_record(Close(reason, reason != "interrupted").line, self.sequence, self._now_ns())], lambda _: None
+        )
         self.journal.finish()
         self.journal.close()
 

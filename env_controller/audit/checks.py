@@ -6,6 +6,7 @@ root and a count that left the machine are compared.
 
 from __future__ import annotations
 
+import json
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -13,17 +14,20 @@ from itertools import count
 from pathlib import Path
 from typing import Literal
 
+from luxloop.campaign import Step
 from luxloop.errors import InputError
 from luxloop.journal.chain import Link, Mark
 from luxloop.journal.reader import number_of, segments_of
 from luxloop.journal.scan import Commit, Scan
-from luxloop.journal.segment import PATTERN, SIDE_FILE, being_written
-from luxloop.journal.topics import Record
+from luxloop.journal.segment import FORMAT, PATTERN, SIDE_FILE, being_written
+from luxloop.journal.topics import Record, RequestRecord
 from luxloop.messages import Task
 
 Verdict = Literal["ok", "note", "lost", "broken"]
 EXIT: dict[Verdict, int] = {"ok": 0, "note": 0, "lost": 3, "broken": 5}
 SHOWN = 5  # of many alike
+OUT_OF_STEP = -1  # a lane whose numbers are wrong already
+GIVEN = "the given root and count"
 
 
 @dataclass(frozen=True)
@@ -60,6 +64,8 @@ class Audit:
     findings: list[Finding] = field(default_factory=list)
     mark: Mark = field(default_factory=Mark)
     steps: Counter[int] = field(default_factory=Counter)
+    lanes: Counter[int] = field(default_factory=Counter)
+    """The number that each lane's next step must have."""
     asked: set[str] = field(default_factory=set)
     answered: set[str] = field(default_factory=set)
     topics: Counter[str] = field(default_factory=Counter)
@@ -77,7 +83,7 @@ def verify(
     if not paths:
         raise InputError("RUN", str(folder), "the folder of a run with its journal", f"there is no {PATTERN} in it")
     audit = Audit()
-    expected = [Expected("the given root and count", records, root)] if root or records else []
+    expected = [Expected(GIVEN, records, root)] if root or records else []
     expected += _side_file(folder, audit)
     scans = _read_all(paths, audit, expected, progress)
     whole: Verdict = "note" if exit_code(audit) else "ok"
@@ -157,20 +163,45 @@ def _take(commit: Commit, name: str, audit: Audit, expected: list[Expected]) -> 
 
 def _count(link: Link, name: str, audit: Audit) -> None:
     if not isinstance(link, Record):
+        _look_at_format(link, name, audit)
         return
     audit.topics[link.topic] += 1
     if link.topic == "/step":
         audit.steps[link.sequence] += 1
-    if not link.topic.startswith(("/request/", "/reply/")):
-        return
     try:
         words = link.value
-    except InputError as error:
+    except (InputError, RecursionError) as error:
         audit.say(name, "broken", f"{link.topic} of step {link.sequence}: {error}")
         return
-    if link.topic.startswith("/reply/"):
+    if link.topic == "/step":
+        _look_at_number(link, words, name, audit)
+    elif link.topic.startswith("/reply/"):
         audit.answered.add(words.task_id)
+    elif link.topic.startswith("/request/"):
+        _look_at_request(words, name, audit)
+
+
+def _look_at_format(link: Link, name: str, audit: Audit) -> None:
+    """Records of another format may mean something else: whether they hold together, this release cannot say."""
+    if link.topic == "metadata/run":
+        written = json.loads(link.data).get("journal", "unknown")
+        if written != FORMAT:
+            audit.say(name, "broken", f"written in format {written}; this release reads {FORMAT}")
+
+
+def _look_at_number(link: Record, step: Step, name: str, audit: Audit) -> None:
+    """A lane's steps are numbered 0, 1, 2, ... in their order; of each lane the first that is not is told."""
+    due = audit.lanes[step.lane]
+    if due == OUT_OF_STEP:
         return
+    audit.lanes[step.lane] = due + 1
+    if step.number != due:
+        found = f"step {link.sequence} is action {step.number:,} of lane {step.lane}, where action {due:,} is due"
+        audit.say(name, "broken", found)
+        audit.lanes[step.lane] = OUT_OF_STEP
+
+
+def _look_at_request(words: RequestRecord, name: str, audit: Audit) -> None:
     audit.asked.add(words.task_id)
     if Task(kind=words.kind, inputs=words.inputs, version=words.version).id != words.task_id:
         audit.say(name, "broken", f"request {words.task_id[:12]} has not the id of its inputs")

@@ -26,7 +26,7 @@ from luxloop.errors import InputError, LuxloopError
 from luxloop.journal.chain import Mark
 from luxloop.journal.scan import BROKEN, Scan, record_of, refuse_foreign, summary_of
 from luxloop.journal.segment import FORMAT, PATTERN, being_written
-from luxloop.journal.topics import CHAIN, TOPICS, LearnerRecord, Record
+from luxloop.journal.topics import CHAIN, TOPICS, Close, LearnerRecord, Record
 from luxloop.words import Words, parse
 
 W = TypeVar("W", bound=Words)
@@ -183,6 +183,12 @@ class RunJournal:
     def maps(self) -> Iterator[tuple[int, NDArray[np.float32]]]:
         """Sequence of its step, and map (y, x) in lx, row 0 at the lowest y."""
         return ((entry.sequence, entry.value) for entry in self.records("/map/sim"))
+
+    @property
+    def close(self) -> Close | None:
+        """Why the run was closed by its last start; None where it goes on, or was killed."""
+        lines = self.segments[-1].last("/log", 1)
+        return Close.of(lines[0].value.message) if lines else None
 
     @property
     def being_written(self) -> bool:

@@ -9,7 +9,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from hashlib import sha256
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,6 +72,8 @@ class Checkpoint(Words):
 
 
 CHAIN = "/chain"
+ENDED, STOPPED = "ended: ", "stopped: "
+"""How the log's last line of a run begins: nothing was left to do; it may be gone on with."""
 TOPICS: dict[str, type[Words] | str] = {
     "/request/film": RequestRecord,
     "/reply/film": ReplyRecord,
@@ -86,6 +88,26 @@ TOPICS: dict[str, type[Words] | str] = {
 }
 """The record of each topic: words as JSON, or the name of a protobuf message."""
 CHANNEL_FACTS: dict[str, dict[str, str]] = {"/map/sim": {"unit": "lx", "row_0": "highest y", "axes": "y, x"}}
+
+
+class Close(NamedTuple):
+    """Why a run was closed, and whether nothing was left to do."""
+
+    reason: str
+    complete: bool
+
+    @classmethod
+    def of(cls, line: str) -> Close | None:
+        """What a line of the log says of it; None where it is another one."""
+        for prefix in (ENDED, STOPPED):
+            if line.startswith(prefix):
+                return cls(line.removeprefix(prefix), prefix == ENDED)
+        return None
+
+    @property
+    def line(self) -> str:
+        """How it stands in the log."""
+        return f"{ENDED if self.complete else STOPPED}{self.reason}"
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import threading
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,9 +19,12 @@ from agent.moves import Space
 from luxloop.audit import Compared
 from luxloop.campaign import Action, Begin, Note, Plan, Step
 from luxloop.design import Bounds, Design
+from luxloop.errors import InputError
+from luxloop.journal.chain import Mark
 from luxloop.journal.journal import Journal
 from luxloop.journal.reader import RunJournal
-from luxloop.journal.topics import Record, log_record, note_records, opening, step_record
+from luxloop.journal.segment import Segment
+from luxloop.journal.topics import Close, NoteRecord, Record, log_record, note_records, opening, record, step_record
 from luxloop.model import Model
 from luxloop.words import canonical
 from tests.journals import START_NS
@@ -32,6 +36,7 @@ SMALL = Bounds(
     step=Design.from_vector((10.0, 20.0, 50.0, 10.0, 0.5)),
 )
 """216 designs."""
+BY_TIME = "time: 5 s"
 
 
 class Door:
@@ -51,7 +56,8 @@ class Door:
 
     def _act(self, action: Action) -> Step:
         place = sum(one.topic == "/step" for one in self.records)
-        step = self._controller.act(action).model_copy(update={"final": action.final, "role": action.role})
+        asked = {"move": action.move, "final": action.final, "role": action.role}
+        step = self._controller.act(action).model_copy(update=asked)
         self.records.append(step_record(step, place, START_NS + place))
         if action.agent is not None:
             note = Note(run=self.run, designer="d", agent=action.agent)
@@ -61,7 +67,7 @@ class Door:
 
 def recorded(folder: Path, name: str, *, lanes: int = 1, failing: int | None = None, keep: int | None = None,
              time_after: int | None = None, **changes: Any) -> RunJournal:  # fmt: skip
-    """A run of a designer on disk; of its records the first `keep`, ended by its time after so many steps."""
+    """A run of a designer on disk, ended by its time after so many steps; killed after its first `keep` records."""
     words = {
         "designer": name,
         "bounds": SMALL,
@@ -77,16 +83,54 @@ def recorded(folder: Path, name: str, *, lanes: int = 1, failing: int | None = N
     stop = campaign.stop if time_after is None else campaign.stop.model_copy(update={"steps": time_after})
     ends: list[WalkEnd] = []
     runner = Runner(door, chooser, stop, lanes=lanes, seed=campaign.seed, on_walk_end=ends.append)
-    runner.run(campaign.finalists, without_dbr=kind == "campaign")
+    found = runner.run(campaign.finalists, without_dbr=kind == "campaign")
+    end = ends[0]
+    if time_after is not None:
+        end, found = end._replace(reason=BY_TIME), replace(found, reason=BY_TIME)
     begin = Begin(plan=plan, designer="d", attachments={"campaign.json": canonical(campaign).decode()})
+    note = Note(run=folder.name, designer="d", result=found.summary(), log=end.line)
+    at = len(door.records), START_NS
+    last = [*note_records(note, *at), log_record(Close(found.reason, complete=True).line, *at)]
+    return written(folder, begin, [*door.records, *last] if keep is None else door.records[:keep])
+
+
+def written(folder: Path, begin: Begin, records: list[Record]) -> RunJournal:
+    """A journal of these records."""
     run, attachments = opening(begin)
     journal = Journal(folder, {"run": run, "environment": {}}, attachments)
-    end = ends[0] if time_after is None else ends[0]._replace(reason="time: 5 s")
-    lines = [log_record(end.line, len(door.records), START_NS)] if keep is None else []
-    journal.put([*door.records[:keep], *lines], lambda _: None)
+    journal.put(records, lambda _: None)
     journal.finish()
     journal.close()
     return RunJournal(folder)
+
+
+def forged(journal: RunJournal, change: Callable[[Record], Record | None], **files: bytes) -> RunJournal:
+    """The same run with changed records and files and a chain that is right: what a forger with our code can make."""
+    folder, segment = journal.folder.with_name("forged"), journal.segments[0]
+    folder.mkdir()
+    metadata, attachments = segment.opening
+    out = Segment(folder / "audit-0001.mcap", Mark(), metadata, attachments | files)
+    for entry in filter(None, map(change, segment.records())):
+        out.write(entry)
+        out.commit()
+    out.finish()
+    return RunJournal(folder)
+
+
+def step_as(at: tuple[int, int], **values: Any) -> Callable[[Record], Record]:
+    """Changes the step of a lane and number."""
+
+    def change(entry: Record) -> Record:
+        if entry.topic != "/step" or (entry.value.lane, entry.value.number) != at:
+            return entry
+        return step_record(entry.value.model_copy(update=values), entry.sequence, entry.log_time_ns)
+
+    return change
+
+
+def first_of(said: list[Compared]) -> Compared:
+    """The first difference in the order of the journal."""
+    return min((one for one in said if one.verdict == "differs"), key=lambda one: one.sequence % (1 << 32))
 
 
 def compared(journal: RunJournal, same_machine: bool = True) -> list[Compared]:
@@ -110,6 +154,7 @@ def test_every_designer_decides_the_same(tmp_path: Path, name: str, lanes: int) 
     assert {one.verdict for one in said} == {"identical"}
     assert len(verdicts(said, "proposal")) == len(list(journal.steps()))
     assert len(verdicts(said, "end of the walk")) == 1
+    assert sum(one.what.startswith("result, ") for one in said) == 8
 
 
 def test_a_lost_worker_changes_nothing(tmp_path: Path) -> None:
@@ -209,3 +254,120 @@ def test_a_run_of_others_is_not_comparable(tmp_path: Path) -> None:
     journal.attachments = dict  # type: ignore[method-assign]  # as if it had none
     (found,) = compared(journal)
     assert (found.verdict, "plan.json" in found.why) == ("not comparable", True)
+
+
+def test_a_step_under_another_number_differs(tmp_path: Path) -> None:
+    """The designer comes to a hole, and never asks for what is behind it: neither is the journal's end."""
+    journal = recorded(tmp_path / "r", "random", lanes=2)
+    said = compared(forged(journal, step_as((1, 1), number=70_000)))
+    first = first_of(said)
+    assert (first.what, first.step) == ("proposal", "step 3 (lane 1, action 70000)")
+    assert first.now == "the designer never asks for it"
+    hole = [one for one in said if one.logged == "not on record"]
+    assert [(one.verdict, one.step) for one in hole] == [("differs", "lane 1, action 1")]
+
+
+def test_steps_behind_a_hole_differ_in_a_killed_run_too(tmp_path: Path) -> None:
+    """Nobody can have asked for them."""
+    journal = recorded(tmp_path / "r", "random", lanes=2, keep=20)
+    said = compared(forged(journal, lambda one: None if one.topic == "/step" and one.sequence == 3 else one))
+    assert verdicts(said, "proposal").count("differs") == 10 - 1 - 4  # all behind it but for what was under way
+    assert first_of(said).now == "the designer never asks for it"
+
+
+@pytest.mark.parametrize("left", ["/note", "/log", "both"])
+def test_a_final_step_that_is_missing_differs_where_the_run_was_over(tmp_path: Path, left: str) -> None:
+    """Its result on record or the last line of its log says so; without either it was killed there."""
+    journal = recorded(tmp_path / "r", "random")
+    last = max(one.sequence for one in journal.records("/step"))
+    gone = {"/note": {"/log"}, "/log": {"/note"}, "both": set[str]()}[left]
+
+    def change(entry: Record) -> Record | None:
+        return None if entry.topic in gone or (entry.topic == "/step" and entry.sequence == last) else entry
+
+    (found,) = [
+        one for one in compared(forged(journal, change)) if one.verdict == "differs" and one.what == "proposal"
+    ]
+    assert (found.logged, found.why) == ("not on record", "the run is over")
+    assert "without_dbr" in found.now
+
+
+def test_a_run_that_was_stopped_may_end_anywhere(tmp_path: Path) -> None:
+    """`stopped:` in its log: it may be gone on with."""
+    journal = recorded(tmp_path / "r", "random", keep=20)
+    begin = Begin(plan=journal.attached("plan.json", Plan), designer="d")
+    stopped = log_record(Close("interrupted", complete=False).line, 10, START_NS)
+    written(tmp_path / "r", begin, [stopped])
+    assert {one.verdict for one in compared(RunJournal(tmp_path / "r"))} == {"identical"}
+
+
+def test_another_move_differs(tmp_path: Path) -> None:
+    """A move that is said to have been a design that was asked for would be rewarded as a beginning."""
+    journal = recorded(tmp_path / "r", "ddqn-fast")
+    moved = next(step for step in journal.steps() if step.move)
+    said = compared(forged(journal, step_as((0, moved.number), move=None)))
+    (found,) = [one for one in said if one.verdict == "differs"]
+    assert (found.what, found.sequence) == ("move", moved.number)
+    assert found.now.startswith(moved.move.variable if moved.move else "")
+
+
+def test_a_learner_that_left_nothing_differs(tmp_path: Path) -> None:
+    """Every designer sends a record with each step of its walk: all of them were removed."""
+    journal = recorded(tmp_path / "r", "ddqn-fast")
+    said = compared(forged(journal, lambda one: None if one.topic == "/agent" else one))
+    walked = sum(not step.final for step in journal.steps())
+    assert verdicts(said, "learner") == ["differs"] * walked
+    assert first_of(said).logged == "nothing of the learner on record"
+
+
+@pytest.mark.parametrize(("name", "value"), [
+    ("reason", "budget: 31 evaluations"), ("steps", 31), ("evaluations", 29), ("episodes", 7), ("start", None),
+    ("best", {"uniformity": 0.99}), ("without_dbr", {}), ("finalists", []),
+])  # fmt: skip
+def test_a_changed_result_is_named(tmp_path: Path, name: str, value: Any) -> None:
+    """What is said to have been found is what the designer finds again."""
+
+    def change(entry: Record) -> Record:
+        if entry.topic != "/note":
+            return entry
+        told = entry.value.result[name]
+        values = {**told, **value} if isinstance(told, dict) and value else value
+        words = NoteRecord(run="r", designer="d", result={**entry.value.result, name: values})
+        return record("/note", words, entry.sequence, entry.log_time_ns)
+
+    said = compared(forged(recorded(tmp_path / "r", "ddqn-fast"), change))
+    (found,) = [one for one in said if one.verdict == "differs"]
+    assert found.what == f"result, {name}"
+    if name == "best":
+        assert found.logged == {"best.uniformity": 0.99}
+
+
+@pytest.mark.parametrize("topic", ["/note", "/log"])
+def test_a_result_and_an_end_that_are_gone_differ(tmp_path: Path, topic: str) -> None:
+    """Of a run that was over."""
+    journal = recorded(tmp_path / "r", "random")
+
+    def change(entry: Record) -> Record | None:
+        gone = entry.topic == topic and (topic == "/note" or not entry.value.message.startswith("ended:"))
+        return None if gone else entry
+
+    differs = [one for one in compared(forged(journal, change)) if one.verdict == "differs"]
+    assert {one.what.partition(",")[0] for one in differs} == {"result" if topic == "/note" else "end of the walk"}
+
+
+def test_an_end_by_time_is_not_believed_where_no_time_was_set(tmp_path: Path) -> None:
+    """Else a forger could end any walk where he likes."""
+    journal = recorded(tmp_path / "r", "random", time_after=9)
+    found = first_of(compared(journal))
+    assert (found.what, found.sequence) == ("proposal", 9)
+    assert "final (finalist)" in found.logged
+    assert "final" not in found.now
+
+
+@pytest.mark.parametrize("name", ["plan.json", "campaign.json"])
+@pytest.mark.parametrize("data", [b"{not json", b"\xff\xfe", b'{"run":"x"}'])
+def test_a_file_that_is_none_is_named(tmp_path: Path, name: str, data: bytes) -> None:
+    """Its name, and no traceback."""
+    journal = forged(recorded(tmp_path / "r", "random"), lambda one: one, **{name: data})
+    with pytest.raises(InputError, match=name):
+        compared(journal)

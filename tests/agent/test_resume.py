@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -16,16 +17,19 @@ import pytest
 from agent.checkpoints import FOLDER
 from agent.config import Campaign, Stop
 from agent.launch import Launched, launch
-from agent.recorded import Told
+from agent.recorded import Told, recorded
 from agent.resume import resume, wall_s
 from env_controller.audit.checks import exit_code, verify
 from env_controller.audit.contents import Contents
+from luxloop.bus.keys import at
+from luxloop.bus.zenoh_bus import ZenohBus
 from luxloop.campaign import Step
 from luxloop.client import Client
 from luxloop.design import Design
 from luxloop.door import RunDoor
 from luxloop.errors import InputError, RemoteError
 from luxloop.journal.reader import RunJournal
+from luxloop.journal.topics import CHAIN
 from luxloop.model_file import find_model, to_toml
 from luxloop.settings import Settings, as_environment
 from tests.conftest import start, stop, wait_for
@@ -232,3 +236,50 @@ def test_the_time_that_counts_is_that_with_something_under_way() -> None:
     told = [Told(step.model_copy(update={"controller_s": took}), 0, round(1e9 * at), None) for at, took in times]
     assert wall_s(told) == pytest.approx(5.0)
     assert wall_s([]) == 0.0
+
+
+def test_a_finished_run_stays_as_it_is(running: RunningSet) -> None:
+    """Not by a copy of it as it was, under its name or another, nor by a designer that was stopped meanwhile."""
+    folder = running.settings.runs_dir / "stormy"
+    killed(running, "stormy", 20)
+    for name in ("elsewhere/stormy", "copy"):
+        shutil.copytree(folder, folder.parent.parent / name if "/" in name else folder.with_name(name))
+    went_on(running, "stormy")
+    root = (folder / "audit.sha256").read_text()
+    with pytest.raises(RemoteError, match="has ended"):
+        resume(running.settings, folder.parent.parent / "elsewhere" / "stormy", local=False)
+    with pytest.raises(InputError, match=r"move .*stormy away, then rename"):
+        went_on(running, "copy")
+    assert (folder / "audit.sha256").read_text() == root
+
+
+def test_another_journal_than_the_one_that_was_read_is_not_gone_on_with(running: RunningSet) -> None:
+    """The controller's must hold the root of the one that is named; an earlier one of its own will do."""
+    killed(running, "stormy", 20)
+    run = recorded(running.settings.runs_dir / "stormy")
+    with Client(running.settings, local=False) as client:
+        with pytest.raises(RemoteError, match="not the one that is to be gone on with"):
+            RunDoor.begin(client, run.plan, resume=True, root="f" * 64)
+        first = next(RunJournal(run.folder).records(CHAIN)).value.root
+        with RunDoor.begin(client, run.plan, resume=True, root=first) as door:
+            assert door.begun.steps >= len(run.told)
+
+
+def test_a_designer_that_was_taken_over_from_is_refused(running: RunningSet) -> None:
+    """Stopped for so long that it is given up, then woken when another one has gone on: it writes nothing more."""
+    process = begun(running, "stormy", "--quiet")
+    folder = running.settings.runs_dir / "stormy"
+    wait_for(lambda: steps_in(folder) >= 10, "steps")
+    process.send_signal(signal.SIGSTOP)
+    alive = at(running.settings.realm, "alive", role="designer")
+    with ZenohBus(running.settings) as bus:
+        wait_for(lambda: not bus.present(alive), "the designer to be given up", 30.0)
+    went_on(running, "stormy")
+    root = (folder / "audit.sha256").read_text()
+    process.send_signal(signal.SIGCONT)
+    _, said = process.communicate(timeout=60)
+    assert process.returncode == 1
+    assert "has ended" in said
+    assert (folder / "audit.sha256").read_text() == root
+    undisturbed(running)
+    assert content(running, "stormy") == content(running, "calm")
