@@ -127,11 +127,10 @@ class RunOnDisk:
         note = Note(run=self.plan.run, designer="1-test", result=result)
         self.journal.put(note_records(note, self.sequence, self._now_ns()), lambda _: None)
 
-    def finish(self, reason: str = "budget: 12 evaluations") -> None:
+    def finish(self, reason: str = "budget: 12 evaluations", *, complete: bool = True) -> None:
         """End the run as the controller does."""
-        self.journal.put(
-            [log_record(Close(reason, reason != "interrupted").line, self.sequence, self._now_ns())], lambda _: None
-        )
+        line = Close(reason, complete).line
+        self.journal.put([log_record(line, self.sequence, self._now_ns())], lambda _: None)
         self.journal.finish()
         self.journal.close()
 

@@ -58,10 +58,10 @@ def test_a_run_is_running_then_killed_then_resumed_then_over(tmp_path: Path) -> 
     mend = "luxloop campaign resume trial"
     assert state(folder) == ("killed", "its journal has no end, and nobody writes it", mend)
     run = RunOnDisk(folder)
-    run.finish("interrupted")
+    run.finish("interrupted", complete=False)
     assert state(folder) == ("interrupted", "interrupted", mend)
     run = RunOnDisk(folder)
-    run.finish("the controller was stopped")
+    run.finish("the controller was stopped", complete=False)
     assert state(folder) == ("interrupted", "the controller was stopped", mend)
     run = RunOnDisk(folder)
     run.note({"reason": "budget: 12 evaluations"})
