@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from agent.in_words import line
+from agent.run_folder import refuse_unreadable
 from luxloop.errors import InputError, LuxloopError
 from luxloop.settings import Settings, load_settings
 from luxloop.words import parse
@@ -155,11 +157,12 @@ def _row(overview: Callable[[Path], dict[str, Any]], folder: Path) -> dict[str, 
     row = {"run": folder.name, "folder": str(folder)}
     try:
         refuse_unreadable(folder)
-        return overview(folder)
     except InputError as error:
         return row | {"damaged": str(error), "mend": error.mend}
-    except (LuxloopError, OSError, ValueError, KeyError) as error:  # bytes that are not as they were written
-        return row | {"damaged": str(error), "mend": ""}
+    try:
+        return overview(folder)
+    except (LuxloopError, OSError) as error:
+        return row | {"damaged": str(error), "mend": f"luxloop audit verify {shlex.quote(str(folder))}"}
 
 
 def status(
@@ -306,8 +309,9 @@ def as_text(document: dict[str, Any]) -> list[str]:
 
 
 def _row_text(row: dict[str, Any]) -> str:
+    name = Path(row["folder"]).name  # which commands take; a run that was recovered has several folders
     if "damaged" in row:
-        return f"{row['run']:40} damaged: luxloop audit verify {row['folder']}"
+        return f"{name:40} damaged: {row['mend']}"
     best = row.get("best")
     found = f"best {100.0 * best['uniformity']:.2f} %" if best else "nothing yet"
-    return f"{row['run']:40} {row['kind']:9} {row['state']:11} {row['steps']:>6} steps  {found}"
+    return f"{name:40} {row['kind']:9} {row['state']:11} {row['steps']:>6} steps  {found}"

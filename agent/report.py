@@ -159,7 +159,7 @@ def shown_of(told: Told, found: Details, plan: Plan, name: str) -> tuple[Documen
     document["command"] = simulate_command(told, plan, found.requests.get(told.step.task_id or ""))
     document["sequence"], document["task_id"] = told.sequence, told.step.task_id
     map_lx = found.maps.get(told.sequence)
-    if map_lx is None or not result:
+    if map_lx is None or not (result.get("map") and result.get("cut")):  # where its values lie is not on record
         return document, {}
     half_um = result["map"]["x_um"][1]
     x_um = np.linspace(-2.0 * half_um, 2.0 * half_um, CUT_POINTS)

@@ -1,6 +1,7 @@
 """A lab's own certificate authority, and one certificate with its private key for each role.
 
     DIR/ca.pem            the CA's certificate, written last: a folder without it is no set
+    DIR/.unfinished       while a new set is made: a ca.key beside it has signed nothing that is in use
     DIR/ca.key            its private key: needed to renew, by no process
     DIR/<role>/ca.pem     the same certificate again, so that one folder is all that a host or container needs
     DIR/<role>/<role>.pem the role's certificate and its private key, in one file that is replaced in one step
@@ -31,6 +32,7 @@ HOSTS = ("localhost", "127.0.0.1", "::1", "router")
 CA_DAYS = 3650
 SOON_DAYS = 30
 CA_NAME = "luxloop lab CA"
+UNFINISHED = ".unfinished"
 EARLY = timedelta(minutes=5)  # a host whose clock is a little behind takes a new certificate, too
 
 
@@ -109,11 +111,13 @@ def make(
 ) -> Made:
     """Make the set in `folder`, renew it, or leave it as it is, as the options say.
 
-    Raises InputError where a set is there already, or is to be renewed and its CA cannot sign; LuxloopError where
-    the folder cannot be written. Killed at any moment it leaves no `ca.pem`, or (renewing) certificates that are
-    old or new, each with its own key.
+    Raises InputError where a set is there already, where a CA's key is there alone, and where a set is to be renewed
+    and its CA cannot sign; LuxloopError where the folder cannot be written. Killed at any moment it leaves no
+    `ca.pem`, or (renewing) certificates that are old or new, each with its own key.
     """
     there = (folder / "ca.pem").exists()
+    if not there:
+        _refuse_lone_key(folder)
     if there and if_needed and not (lacks := what_it_lacks(folder, hosts)):
         return _made(folder, "left as it is")
     if there and not (renew or if_needed):
@@ -131,6 +135,17 @@ def make(
     except OSError as error:
         raise LuxloopError(f"cannot write {folder}: {error.strerror}; name another folder by --out") from error
     return _made(folder, f"renewed ({lacks})" if there and if_needed else "renewed" if there else "made")
+
+
+def _refuse_lone_key(folder: Path) -> None:
+    """InputError where a CA's key lies without its certificate, and a set that we began is not what it belongs to."""
+    key = folder / "ca.key"
+    if os.path.lexists(key) and not (folder / UNFINISHED).exists():
+        mend = (
+            f"bring {folder / 'ca.pem'} back (the folder of each role has the same file), or move {folder} away for a"
+            f" new set, or name another by --out; is it the rest of a run that was killed, remove {key}"
+        )
+        raise InputError("out", str(key), "no key of a CA where a new CA is made", mend)
 
 
 def what_it_lacks(folder: Path, hosts: Iterable[str] = ()) -> str:
@@ -176,10 +191,12 @@ def hosts_of(certificate: x509.Certificate) -> tuple[str, ...]:
 
 
 def _write(folder: Path, authority: Authority, hosts: Iterable[str], end: datetime) -> None:
-    """Roles first, the CA last, each file in one step."""
+    """Roles first, the CA last, each file in one step; a new set bears a mark until it is whole."""
     begin = max(datetime.now(UTC) - EARLY, authority.certificate.not_valid_before_utc)
     ca = authority.certificate.public_bytes(serialization.Encoding.PEM)
     _private_folder(folder)
+    if not (folder / "ca.pem").exists():
+        (folder / UNFINISHED).touch()
     for left in folder.rglob(".*.*-*"):  # of a run that was killed
         left.unlink()
     for role in ROLES:
@@ -188,6 +205,7 @@ def _write(folder: Path, authority: Authority, hosts: Iterable[str], end: dateti
         _replace(folder / role / "ca.pem", ca, 0o644)
     _replace(folder / "ca.key", _pem(authority.key), 0o600)
     _replace(folder / "ca.pem", ca, 0o644)
+    (folder / UNFINISHED).unlink(missing_ok=True)
 
 
 def _known_hosts(folder: Path) -> tuple[str, ...]:

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from luxloop.process import orphaned
-from luxloop.settings import load_settings
+from luxloop.settings import Settings, load_settings
 
 Router = Annotated[
     str | None,
@@ -26,9 +26,21 @@ def router(router: Router = None, quiet: Quiet = False) -> None:
     from luxloop.endpoint import refuse_taken
 
     settings = load_settings(router=router)
+    _look_at_dates(settings, quiet)
     refuse_taken(settings.router)
     _tell(quiet, f"router: listening at {settings.router}")
     run_router(settings, stop_event())
+
+
+def _look_at_dates(settings: Settings, quiet: bool) -> None:
+    """Say where a certificate of the router ends soon. Raises InputError where one has expired."""
+    if settings.certs_dir is None:
+        return
+    from env_controller.health.certificates import router_dates
+
+    for finding in router_dates(settings):
+        if finding.verdict != "ok":
+            _tell(quiet, f"router: {finding.found}; {finding.mend}")
 
 
 def controller(router: Router = None, quiet: Quiet = False) -> None:

@@ -60,7 +60,7 @@ def compact(folder: Path, *, remove: bool = False, progress: Callable[[int], obj
 
     `progress` is told the bytes read. Raises InputError where there is no journal, where it is being written, not
     finished or damaged, or where `segments-before/` holds segments already; LuxloopError where the new file is not
-    the same, which then is not used.
+    the same, which then is not used, or cannot be written.
     """
     paths = segments_of(folder)
     if not paths:
@@ -80,6 +80,9 @@ def compact(folder: Path, *, remove: bool = False, progress: Callable[[int], obj
             before_bytes, after_bytes = sum(map(_size, paths)), _size(fresh)
             kept_in = None if remove else _keep(paths, folder / BEFORE)
             _swap(paths, fresh)
+        except OSError as error:
+            mend = "make room there, and once more: no record is lost"
+            raise LuxloopError(f"cannot write in {folder}: {error.strerror or error}; {mend}") from error
         finally:
             fresh.unlink(missing_ok=True)
     return Compacted(folder, len(paths), before_bytes, after_bytes, mark, kept_in)

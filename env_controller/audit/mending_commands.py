@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -11,6 +12,7 @@ import typer
 
 from env_controller.audit.commands import Json, Quiet, Run, Runs
 from env_controller.audit.runs import find_run
+from luxloop.errors import InputError
 from luxloop.settings import load_settings
 
 if TYPE_CHECKING:
@@ -31,26 +33,33 @@ def recover(
     out: Annotated[
         Path | None, typer.Option(help="Folder to write into; else <run>-recovered beside the run.")
     ] = None,
+    replace: Annotated[
+        bool, typer.Option("--replace", help="Put what was saved in the run's place; the run becomes <run>-damaged.")
+    ] = False,
     runs: Runs = None,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Save what a damaged or unfinished journal holds. Exit 0: all; 3: with loss; 1: nothing; 5: it was changed.
 
-    The run itself is left as it is.
+    The run itself is left as it is; with --replace it lies aside afterwards, and what was saved can be resumed.
     """
     from rich.console import Console
 
     from env_controller.audit import recover as saving
+    from env_controller.audit import replace as replacing
 
+    if replace and out is not None:
+        raise InputError("--out", str(out), "no --replace beside it", "leave one of the two out")
     show = sys.stderr.isatty() and not (as_json or quiet)
     folder = find_run(run, load_settings(runs=runs).runs_dir)
     with Console(stderr=True, quiet=not show).status("reading and writing anew"):
-        recovery = saving.recover(folder, out)
+        recovery = replacing.replace(folder) if replace else saving.recover(folder, out)
+    then = _next(recovery) if recovery.mark.records else ""
     if as_json:
-        typer.echo(json.dumps({"command": "audit recover", **recovery.document()}))
+        typer.echo(json.dumps({"command": "audit recover", **recovery.document(), "next": then}))
     else:
-        typer.echo("\n".join(_recovered(recovery)))
+        typer.echo("\n".join([*_recovered(recovery), *([_row("next", then)] if then else [])]))
     if recovery.exit_code:
         raise typer.Exit(recovery.exit_code)
 
@@ -86,15 +95,36 @@ def compact(
 def _recovered(recovery: Recovery) -> list[str]:
     """The lines a person reads."""
     lines = [_part(part) for part in recovery.parts]
-    lines += [f"{'lost':<20} {what}" for what in recovery.lost]
-    lines += [f"{'changed':<20} {what}" for what in recovery.changed]
-    verdict = typer.style(VERDICTS[recovery.exit_code], fg=COLOURS[recovery.exit_code])
-    lines.append(f"{'verdict':<20} {verdict}")
+    lines += [_row("lost", what) for what in recovery.lost]
+    lines += [_row("changed", what) for what in recovery.changed]
+    lines.append(_row("verdict", typer.style(VERDICTS[recovery.exit_code], fg=COLOURS[recovery.exit_code])))
     if recovery.mark.records:
-        lines.append(f"{'chain':<20} {recovery.mark.records:,} records, root {recovery.mark.root}")
-        lines.append(f"{'written to':<20} {recovery.out}; {recovery.folder} is as it was")
-        lines.append(f"{'next':<20} luxloop audit verify {recovery.out}")
+        before = "is what was there" if recovery.replaced else "is as it was"
+        lines.append(_row("chain", f"{recovery.mark.records:,} records, root {recovery.mark.root}"))
+        lines.append(_row("written to", f"{recovery.out}; {recovery.folder} {before}"))
     return lines
+
+
+def _next(recovery: Recovery) -> str:
+    """The command to go on with: to the end of the run, or to a look at it."""
+    from env_controller.audit.replace import to_go_on_with
+
+    if not to_go_on_with(recovery.out):
+        return f"luxloop audit verify {_named(recovery.out)}"
+    if recovery.replaced:
+        return f"luxloop campaign resume {_named(recovery.out)}"
+    return f"luxloop audit recover {_named(recovery.folder)} --replace"
+
+
+def _named(folder: Path) -> str:
+    """A run's id where it lies in the folder of runs of every command, else its path."""
+    whole = folder.resolve()
+    near = whole.parent == load_settings().runs_dir.resolve()
+    return shlex.quote(whole.name if near else str(folder))
+
+
+def _row(name: str, value: str) -> str:
+    return f"{name:<20} {value}"
 
 
 def _part(part: Part) -> str:

@@ -9,7 +9,9 @@ cannot be shown to belong to what lies before and is not passed off as good. It 
 
 from __future__ import annotations
 
-from contextlib import suppress
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -22,7 +24,7 @@ from luxloop.journal.segment import (
     PATTERN,
     SIDE_FILE,
     SegmentFile,
-    being_written,
+    held,
     read_side_file,
     sync_folder,
     write_side_file,
@@ -56,6 +58,7 @@ class Recovery:
     kept: Mark | None = None
     kept_met: bool = False
     kept_fault: str = ""
+    replaced: bool = False
 
     @property
     def exit_code(self) -> int:
@@ -71,6 +74,7 @@ class Recovery:
         return {
             "folder": str(self.folder),
             "out": str(self.out),
+            "replaced": self.replaced,
             "exit": self.exit_code,
             "records": self.mark.records,
             "root": self.mark.root,
@@ -84,17 +88,55 @@ def recover(folder: Path, out: Path | None = None) -> Recovery:
     """Write what can be read of the run in `folder` into `out`, else into `<run>-recovered` beside it.
 
     Raises InputError where there is no journal, where it is being written (naming by whom), where a file is another
-    program's, and where `out` holds something already.
+    program's, and where `out` holds something already; LuxloopError where `out` cannot be written: nothing is left.
     """
-    paths = segments_of(folder)
-    if not paths:
-        raise InputError("RUN", str(folder), "the folder of a run with its journal", f"there is no {PATTERN} in it")
-    if being_written(paths[-1]):
-        raise InputError("RUN", str(folder), "a run that nobody writes", f"end {owner_of(paths[-1])} first")
     out = out or folder.resolve().with_name(f"{folder.resolve().name}-recovered")
     if out.exists() and not (out.is_dir() and not any(out.iterdir())):
         raise InputError("--out", str(out), "a folder that is empty or not there", "name another by --out")
-    out.mkdir(parents=True, exist_ok=True)
+    with alone(folder) as paths, whole_or_nothing(out, "make room there, or name another folder by --out"):
+        return save(folder, out, paths)
+
+
+@contextmanager
+def alone(folder: Path) -> Iterator[list[Path]]:
+    """The segments of a run that nobody else writes, or begins to write, while inside."""
+    paths = segments_of(folder)
+    if not paths:
+        raise InputError("RUN", str(folder), "the folder of a run with its journal", f"there is no {PATTERN} in it")
+    with held(paths[-1]) as nobody_else:
+        if not nobody_else:
+            raise InputError("RUN", str(folder), "a run that nobody writes", f"end {owner_of(paths[-1])} first")
+        yield paths
+
+
+@contextmanager
+def whole_or_nothing(out: Path, mend: str) -> Iterator[None]:
+    """Makes `out`; what was begun in it goes away where it does not come to its end."""
+    there = out.is_dir()
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        yield
+    except BaseException as error:
+        with suppress(OSError):
+            empty(out)
+            if not there:
+                out.rmdir()
+        if isinstance(error, OSError):
+            raise LuxloopError(f"cannot write {out}: {error.strerror or error}; {mend}") from error
+        raise
+
+
+def empty(folder: Path) -> None:
+    """Remove all that lies in a folder."""
+    for path in folder.iterdir():
+        if path.is_dir() and not path.is_symlink():
+            shutil.rmtree(path)
+        else:
+            path.unlink()
+
+
+def save(folder: Path, out: Path, paths: list[Path]) -> Recovery:
+    """Write what can be read of these segments into `out`, which goes away where that is nothing."""
     recovery = Recovery(folder, out)
     _kept(recovery)
     _save_all(paths, recovery)
@@ -123,24 +165,50 @@ def _kept(recovery: Recovery) -> None:
 
 def _save_all(paths: list[Path], recovery: Recovery) -> None:
     """Segment after segment, for as long as each goes on where the chain has come to."""
-    for place, path in enumerate(paths, 1):
+    left = list(paths)
+    for place in range(1, len(paths) + 1):
         if recovery.lost or recovery.changed:
             break
-        part = Part(path.name)
+        path = _next(left, recovery.mark)
+        left.remove(path)
+        part, scan, misnamed = Part(path.name), Scan(path), number_of(path) != place
         recovery.parts.append(part)
-        scan = Scan(path)
-        if number_of(path) != place:
+        if misnamed and _before(path) != recovery.mark:
             part.found = f"segment {place} is missing before it"
             recovery.lost.append(f"{path.name} and what follows: {part.found}")
         else:
             _save(scan, part, recovery)
         part.left_bytes = 0 if scan.finished else path.stat().st_size - part.read_bytes
         if not (recovery.lost or recovery.changed):
-            _look_at_end(scan, part, recovery, last=path == paths[-1])
-    for path in paths[len(recovery.parts) :]:
+            _look_at_end(scan, part, recovery, last=not left)
+            part.found += f"; its name was wrong: by its chain it is segment {place}" * misnamed
+    for path in left:
         part = Part(path.name, left_bytes=path.stat().st_size, found="not joined to what was saved")
         recovery.parts.append(part)
     _compare_kept(recovery)
+
+
+def _next(left: list[Path], mark: Mark) -> Path:
+    """The first of the segments by name, unless only another one goes on at `mark`: names may be wrong."""
+    if _before(left[0]) in (mark, None):
+        return left[0]
+    return next((path for path in left if _before(path) == mark), left[0])
+
+
+def _before(path: Path) -> Mark | None:
+    """Where a segment goes on, as it says itself; None where its beginning cannot be read."""
+    scan = Scan(path)
+    with suppress(LuxloopError, OSError):
+        return scan.before if next(iter(scan), None) else None
+    return None
+
+
+def _readable(scan: Scan) -> Iterator[Commit]:
+    """The commits of a segment; a disk that gives no more of it is damage as any other."""
+    try:
+        yield from scan
+    except OSError as error:
+        scan.fault = f"it cannot be read: {error.strerror or error}"
 
 
 def _save(scan: Scan, part: Part, recovery: Recovery) -> None:
@@ -148,7 +216,7 @@ def _save(scan: Scan, part: Part, recovery: Recovery) -> None:
     file: SegmentFile | None = None
     path = recovery.out / f"audit-{recovery.segments + 1:04}.mcap"
     try:
-        for commit in scan:
+        for commit in _readable(scan):
             if not _follows(scan, commit, part, recovery):
                 break
             file = file or SegmentFile(path)

@@ -24,6 +24,7 @@ from luxloop.settings import Settings
 
 ASK_S = 3.0
 RENEW = "luxloop certs --renew --out {folder}, and start again"
+RENEW_AFAR = "luxloop certs --renew where the set's ca.key is; bring this role's folder here, and start again"
 
 
 def certificates(settings: Settings, role: Role) -> Iterator[Finding]:
@@ -37,13 +38,16 @@ def certificates(settings: Settings, role: Role) -> Iterator[Finding]:
     except InputError as error:
         yield Finding("ca.pem", "fail", f"{folder / 'ca.pem'} is missing or damaged", error.mend)
         return
-    yield _dated("ca.pem", authority, str(folder / "ca.pem"), folder)
+    yield dated("ca.pem", authority, str(folder / "ca.pem"), folder)
+    yield from _folder(folder)
     if (folder / "ca.key").exists():
         yield _closed("ca.key", folder / "ca.key", "the CA's private key: on one host only, kept from all others")
     for other in ROLES:
         path = _file_of(folder, other)
         if path.exists() or other == role:
             yield from _certificate(folder, other, path, authority)
+        if path.parent != folder and path.parent.is_dir():
+            yield from _folder(path.parent)
 
 
 def _none(settings: Settings) -> Finding:
@@ -86,13 +90,32 @@ def _certificate(folder: Path, role: Role, path: Path, authority: x509.Certifica
         mend = "take both of one set: luxloop certs"
         yield Finding(what, "fail", f"{path} is not signed by the CA of {folder / 'ca.pem'}", mend)
         return
-    dated = _dated(what, certificate, str(path), folder)
-    yield dated if dated.verdict != "ok" or closed.verdict == "ok" else closed
+    timely = dated(what, certificate, str(path), folder)
+    yield timely if timely.verdict != "ok" or closed.verdict == "ok" else closed
 
 
-def _dated(what: str, certificate: x509.Certificate, path: str, folder: Path) -> Finding:
+def router_dates(settings: Settings) -> Iterator[Finding]:
+    """Is the router's own certificate, and that of its CA, in its time? Nothing where it uses none.
+
+    Raises InputError where one has expired, for then nobody can join, and where a file is missing or cannot be used.
+    """
+    identity = Identity.of(settings, "router")
+    if identity is None:
+        return
+    for path in (identity.ca, identity.own):
+        certificate = read_certificate(path)
+        finding = dated(path.name, certificate, str(path), identity.ca.parent)
+        if certificate.not_valid_after_utc < datetime.now(UTC):
+            where, mend = str(identity.ca.parent), f"{finding.found}; {finding.mend}"
+            raise InputError("LUXLOOP_CERTS", where, "certificates that have not expired", mend)
+        yield finding
+
+
+def dated(what: str, certificate: x509.Certificate, path: str, folder: Path) -> Finding:
+    """Whether a certificate is in its time, and for how long yet; `folder` holds the set."""
     now, begin, end = datetime.now(UTC), certificate.not_valid_before_utc, certificate.not_valid_after_utc
-    mend = RENEW.format(folder=folder) if what != "ca.pem" else "make a new set in another folder: luxloop certs"
+    renew = RENEW.format(folder=folder) if (folder / "ca.key").exists() else RENEW_AFAR
+    mend = renew if what != "ca.pem" else "make a new set in another folder: luxloop certs"
     if now < begin:
         return Finding(what, "fail", f"{path} is valid from {begin:%Y-%m-%d %H:%M} UTC only", "set the clock (NTP)")
     if now > end:
@@ -110,6 +133,16 @@ def _closed(what: str, path: Path, found: str) -> Finding:
     verdict: Verdict = "fail" if mode & 0o007 else "warn"
     who = "everybody" if mode & 0o007 else "its group"
     return Finding(what, verdict, f"{path} is open to {who} (mode {mode:04o})", f"chmod 600 {path}")
+
+
+def _folder(folder: Path) -> Iterator[Finding]:
+    """What others may write, they may replace: the CA that we trust, and our own key."""
+    mode = folder.stat().st_mode & 0o777
+    if mode & 0o022:
+        verdict: Verdict = "fail" if mode & 0o002 else "warn"
+        who = "everybody" if mode & 0o002 else "its group"
+        found = f"{who} may write in {folder} (mode {mode:04o}), and so replace what is trusted here"
+        yield Finding(f"folder {folder.name}", verdict, found, f"chmod 700 {folder}")
 
 
 def _common_name(certificate: x509.Certificate) -> str:

@@ -17,7 +17,7 @@ from agent.config import Campaign, Stop
 from agent.designers import designer
 from agent.moves import Space
 from luxloop.audit import Compared
-from luxloop.campaign import Action, Begin, Note, Plan, Step
+from luxloop.campaign import Action, AgentRecord, Begin, Note, Plan, Step
 from luxloop.design import Bounds, Design
 from luxloop.errors import InputError
 from luxloop.journal.chain import Mark
@@ -270,7 +270,7 @@ def test_a_step_under_another_number_differs(tmp_path: Path) -> None:
 def test_steps_behind_a_hole_differ_in_a_killed_run_too(tmp_path: Path) -> None:
     """Nobody can have asked for them."""
     journal = recorded(tmp_path / "r", "random", lanes=2, keep=20)
-    said = compared(forged(journal, lambda one: None if one.topic == "/step" and one.sequence == 3 else one))
+    said = compared(forged(journal, lambda one: None if one.sequence == 3 else one))
     assert verdicts(said, "proposal").count("differs") == 10 - 1 - 4  # all behind it but for what was under way
     assert first_of(said).now == "the designer never asks for it"
 
@@ -318,6 +318,19 @@ def test_a_learner_that_left_nothing_differs(tmp_path: Path) -> None:
     walked = sum(not step.final for step in journal.steps())
     assert verdicts(said, "learner") == ["differs"] * walked
     assert first_of(said).logged == "nothing of the learner on record"
+
+
+@pytest.mark.parametrize(("number", "final"), [(3, False), (70_000, False), (31, True)])
+def test_one_more_record_of_the_learner_differs(tmp_path: Path, number: int, final: bool) -> None:
+    """A second one with a step, one without a step, one with a final step."""
+    journal = recorded(tmp_path / "r", "random")
+    assert final is any(step.final for step in journal.steps() if step.number == number)
+    begin = Begin(plan=journal.attached("plan.json", Plan), designer="d")
+    more = Note(run="r", designer="d", agent=AgentRecord(lane=0, number=number, episode=9))
+    said = compared(written(tmp_path / "r", begin, note_records(more, 35, START_NS)))
+    (found,) = [one for one in said if one.verdict == "differs"]
+    assert (found.what, found.step) == ("learner", f"step 35 (lane 0, action {number})")
+    assert found.logged == "one more record, of episode 9"
 
 
 @pytest.mark.parametrize(("name", "value"), [

@@ -27,7 +27,8 @@ from luxloop.errors import InputError, RemoteError
 from luxloop.failure import Failure
 from luxloop.journal.reader import RunJournal
 from luxloop.model_file import find_model
-from tests.campaign_runs import ARGV, START, RunOnDisk, field_lx, map_of, plan_of, whole_run
+from tests import campaign_runs
+from tests.campaign_runs import ARGV, START, RunOnDisk, field_lx, map_of, plan_of, result_of, whole_run
 
 WIDE = START.model_copy(update={"width_um": 40.0})
 
@@ -410,3 +411,21 @@ def test_a_finalist_without_pairs_stays_a_finalist(tmp_path: Path) -> None:
     assert document["best"]["uniformity"]["value"] == first.uniformity
     assert not document["best_is_confirmed"]
     assert document["dbr"]["without"] is None
+
+
+@pytest.mark.parametrize("lacking", [("map",), ("cut",), ("map", "cut", "histories", "method", "warnings", "ledger")])
+def test_a_result_without_its_map_has_a_report(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, lacking: tuple[str, ...]
+) -> None:
+    """A worker that says less than ours: the page is written without what needs it."""
+
+    def said(*of: Any) -> dict[str, Any]:
+        return {name: value for name, value in result_of(*of).items() if name not in lacking}
+
+    monkeypatch.setattr(campaign_runs, "result_of", said)
+    whole_run(tmp_path / "trial")
+    document, arrays = document_of(tmp_path / "trial")
+    assert not any(name.endswith(("_map_lx", "_cut_lx")) for name in arrays)
+    assert document["best"] is not None
+    page = report_command.write_report(tmp_path / "trial").read_text()
+    assert "Its map is not on record." in page

@@ -17,11 +17,14 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from env_controller import certs as certs_module
 from env_controller.certs import HOSTS, Authority, hosts_of, make, read_certificate, role_file, what_it_lacks
+from env_controller.health.certificates import certificates
 from luxloop.bus.access import ROLES
 from luxloop.bus.identity import Identity
 from luxloop.bus.zenoh_bus import ZenohBus
+from luxloop.endpoint import listening
 from luxloop.errors import InputError, LuxloopError
 from luxloop.settings import Settings, as_environment
+from tests.conftest import stop, wait_for
 from tests.secured_set import free_tls_endpoint
 
 DAY = timedelta(days=1)
@@ -151,6 +154,17 @@ class TestAgain:
             make(certs, days=90, renew=True)
         with pytest.raises(InputError, match="leave --renew out"):
             make(certs.parent / "nothing", days=90, renew=True)
+
+    def test_a_ca_s_key_without_its_certificate_is_not_overwritten(self, certs: Path) -> None:
+        """Whatever is asked for: both ways out are named, nothing is changed; a role's copy brings the set back."""
+        (certs / "ca.pem").unlink()
+        before = {path: path.read_bytes() for path in certs.rglob("*") if path.is_file()}
+        for how in ({}, {"if_needed": True}, {"renew": True}):
+            with pytest.raises(InputError, match=r"bring .*ca\.pem back.*move .* away.*remove .*ca\.key"):
+                make(certs, days=90, **how)
+        assert {path: path.read_bytes() for path in certs.rglob("*") if path.is_file()} == before
+        (certs / "ca.pem").write_bytes((certs / "client" / "ca.pem").read_bytes())
+        assert what_it_lacks(certs) == ""
 
     def test_a_place_that_cannot_be_written_is_named(self, tmp_path: Path) -> None:
         """A file in the way."""
@@ -282,6 +296,44 @@ class TestFilesThatCannotBeUsed:
         assert alone.own == whole.own == role_file(certs, "thin-film")
 
 
+class TestTheRouter:
+    """What it says of its certificates when it starts."""
+
+    def started(self, certs: Path, *argv: str) -> subprocess.CompletedProcess[str]:
+        """A router that is ended as soon as it listens."""
+        settings = Settings(certs=certs, router=free_tls_endpoint(), cache=certs.parent / "cache")
+        process = subprocess.Popen(
+            [sys.executable, "-m", "luxloop", "serve", "router", *argv],
+            env=as_environment(settings), text=True, stderr=subprocess.PIPE,
+        )  # fmt: skip
+        try:
+            wait_for(lambda: process.poll() is not None or listening(settings.router), "the router")
+            process.terminate()
+            _, said = process.communicate(timeout=20)
+        finally:
+            stop(process)
+        return subprocess.CompletedProcess([], process.returncode, "", said)
+
+    def test_one_that_has_expired_does_not_start(self, certs: Path) -> None:
+        """Nobody could join: which file, since when, and the command that renews it."""
+        now = datetime.now(UTC)
+        old = Authority.read(certs).issue("router", HOSTS, now - 2 * DAY, now - DAY)
+        role_file(certs, "router").write_bytes(old)
+        done = self.started(certs, "--quiet")
+        assert done.returncode == 2
+        assert f"{role_file(certs, 'router')} has expired on {now - DAY:%Y-%m-%d}" in done.stderr
+        assert f"luxloop certs --renew --out {certs}" in done.stderr
+
+    @pytest.mark.parametrize(("days", "argv", "warned"), [(9, (), True), (9, ("--quiet",), False), (90, (), False)])
+    def test_one_that_ends_soon_is_told(self, certs: Path, days: int, argv: tuple[str, ...], warned: bool) -> None:
+        """It starts all the same."""
+        make(certs, days=days, renew=True)
+        done = self.started(certs, *argv)
+        assert done.returncode == 0, done.stderr
+        assert ("valid until" in done.stderr and "--renew" in done.stderr) == warned
+        assert "ca.pem" not in done.stderr
+
+
 class TestTheDoctor:
     """What it finds in a folder of certificates."""
 
@@ -327,10 +379,34 @@ class TestTheDoctor:
         (certs / "ca.key").chmod(0o604)
         assert found_by_the_doctor(certs)["ca.key"]["verdict"] == "fail"
 
+    @pytest.mark.parametrize(
+        ("mode", "verdict", "who"), [(0o777, "fail", "everybody"), (0o770, "warn", "its group"), (0o755, "", "")]
+    )
+    def test_a_folder_that_others_may_write(self, certs: Path, mode: int, verdict: str, who: str) -> None:
+        """Who may write there may replace the CA that is trusted: of the set, and of a role, alone or in its set."""
+        settings = Settings(certs=certs, cache=certs.parent / "cache", router=free_tls_endpoint())
+        alone = settings.model_copy(update={"certs": certs / "client"})
+        for folder, seen_by in ((certs, settings), (certs / "client", settings), (certs / "client", alone)):
+            folder.chmod(mode)
+            found = {finding.what: finding for finding in certificates(seen_by, "client")}
+            folder.chmod(0o700)
+            finding = found.pop(f"folder {folder.name}", None)
+            assert {one.verdict for one in found.values()} == {"ok"}
+            assert (finding.verdict if finding else "") == verdict
+            if finding:
+                assert who in finding.found
+                assert finding.mend == f"chmod 700 {folder}"
+
+    def test_a_role_s_own_folder_is_renewed_where_the_ca_is(self, certs: Path) -> None:
+        """A worker's host has no ca.key: the mend does not send anybody to renew there."""
+        make(certs, days=5, renew=True)
+        alone = Settings(certs=certs / "client", cache=certs.parent / "cache", router=free_tls_endpoint())
+        found = {finding.what: finding for finding in certificates(alone, "client")}
+        assert found["client.pem"].verdict == "warn"
+        assert "where the set's ca.key is" in found["client.pem"].mend
+
     def test_a_plain_set_that_others_can_reach_is_a_warning(self, tmp_path: Path) -> None:
         """On loopback it is in order; at an address of a network whoever reaches it may join."""
-        from env_controller.health.certificates import certificates
-
         (here,) = certificates(Settings(cache=tmp_path), "client")
         (there,) = certificates(Settings(cache=tmp_path, router="tcp/10.0.0.5:7447"), "client")
         assert (here.verdict, there.verdict) == ("ok", "warn")

@@ -215,3 +215,18 @@ def test_a_person_reads_sizes_before_and_after(run: Path) -> None:
     text = CliRunner().invoke(app, ["compact", str(run), "--remove"]).stdout
     for wanted in ("1 made one", "bytes before", "as before", "removed"):
         assert wanted in text, wanted
+
+
+def test_a_disk_that_gets_full_costs_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where, why and the mend are said; the run is as it was, and nothing else lies in its folder."""
+    folder = tmp_path / "run"
+    three_starts(folder)
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(segment_module.SegmentFile, "finish", full)
+    with pytest.raises(LuxloopError, match=r"cannot write in .*run: No space left on device; make room there"):
+        compact(folder)
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
