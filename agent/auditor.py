@@ -17,10 +17,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-from agent.campaign import Found, Past, Runner, WalkEnd
+from agent.campaign import Runner
 from agent.config import Campaign
 from agent.designers import designer
 from agent.moves import Space
+from agent.progress import Found, Past, WalkEnd
 from luxloop.audit import Compared, Place
 from luxloop.campaign import Action, AgentRecord, Move, Plan, Step
 from luxloop.design import Design
@@ -86,7 +87,7 @@ def walk_end(past: Record, now: WalkEnd, at: Place) -> None:
 
 
 def left_over(door: RecordedDoor, found: Found | None, say: Callable[[Compared], None]) -> None:
-    """Compares what is on record and was never asked for, and what was asked for and is not on record.
+    """Compares what is on record and never came of the designer, and what was asked for and is not on record.
 
     Of a run that is not over the journal may end before its designer does.
     """
@@ -96,6 +97,9 @@ def left_over(door: RecordedDoor, found: Found | None, say: Callable[[Compared],
         else:
             now = NEVER_ASKED if found is None else HAS_ENDED
             one.place(say).exact("proposal", words(one.step.design, one.step.final, one.step.role), now)
+    for sequence, agent in door.past.strays:
+        at = Place(say, sequence, f"step {sequence} (lane {agent.lane}, action {agent.number})")
+        at.exact("learner", f"one more record, of episode {agent.episode}", "one with each step of the walk")
     for action in door.missing if door.past.over and not door.diverged else ():
         at = Place(say, step=f"lane {action.lane}, action {action.number}")
         at.exact("proposal", NOWHERE, words(door.aim(action), action.final, action.role), "the run is over")
@@ -146,12 +150,15 @@ class Record:
     end: WalkEnd | None = None
     results: list[dict[str, Any]] = field(default_factory=list)
     over: bool = False
+    strays: list[tuple[int, AgentRecord]] = field(default_factory=list)
+    """Of the learner: what belongs to no step of the walk, or is there twice."""
 
 
 def read_back(journal: RunJournal) -> Record:
     """What the designer was told, and what it said."""
     steps: dict[tuple[int, int], tuple[Step, int]] = {}
-    agents: dict[tuple[int, int], AgentRecord] = {}
+    agents: dict[tuple[int, int], tuple[int, AgentRecord]] = {}
+    strays: list[tuple[int, AgentRecord]] = []
     seeds: dict[str, str] = {}
     lines: list[str] = []
     results: list[dict[str, Any]] = []
@@ -162,17 +169,20 @@ def read_back(journal: RunJournal) -> Record:
             case "/step":
                 steps[entry.value.lane, entry.value.number] = entry.value, entry.sequence
             case "/agent":
-                agents[entry.value.lane, entry.value.number] = entry.value
+                told = entry.sequence, entry.value
+                if agents.setdefault((entry.value.lane, entry.value.number), told) is not told:
+                    strays.append(told)
             case "/note":
                 results.append(entry.value.result)
             case _:
                 lines.append(entry.value.message)
     found = {
-        key: OnRecord(step, sequence, agents.get(key), seeds.get(step.task_id or ""))
+        key: OnRecord(step, sequence, agents[key][1] if key in agents else None, seeds.get(step.task_id or ""))
         for key, (step, sequence) in steps.items()
     }
+    strays += [told for key, told in agents.items() if key not in steps or steps[key][0].final]
     over = bool(results) or any(line.startswith(ENDED) for line in lines)
-    return Record(found, WalkEnd.among(lines), results, over)
+    return Record(found, WalkEnd.among(lines), results, over, strays)
 
 
 class RecordedDoor:
@@ -219,8 +229,8 @@ class RecordedDoor:
         same = at.exact("proposal", logged, words(design, action.final, action.role), margin)
         if same:
             at.exact("move", _moved(step.move), _moved(action.move))
-        if same and action.final and one.seed is not None:
-            at.exact("seed", one.seed, action.seed)
+            if action.final and one.seed is not None:
+                at.exact("seed", one.seed, action.seed)
         return same
 
     def aim(self, action: Action) -> Design:

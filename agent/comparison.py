@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from statistics import median
 from typing import Any
 
-from agent.campaign import Found
 from agent.config import Campaign
+from agent.progress import Found
 
 WITHIN_POINTS = 0.5
 """A run has come near where a design of its walk is this near to the best that any run of the comparison found."""

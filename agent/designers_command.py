@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from agent.campaign_command import (
+from agent.options import (
     BoundsName,
     Config,
     FinalError,
@@ -27,8 +27,8 @@ from luxloop.errors import InputError
 from luxloop.settings import load_settings
 
 if TYPE_CHECKING:
-    from agent.campaign import Found
     from agent.config import Campaign
+    from agent.progress import Found
 
 RIVALS = "ddqn-fast,ddqn-fast-random,pattern,random"
 

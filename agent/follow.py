@@ -21,10 +21,10 @@ from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
 
-from agent.campaign import FINALISTS, Progress
 from agent.in_words import line, plain
 from agent.live import live
 from agent.overview import RUNNING, overview
+from agent.progress import FINALISTS, Progress
 from luxloop.bus import Bus, Heard, Inbox, Presence
 from luxloop.bus.frame import decode
 from luxloop.bus.keys import at

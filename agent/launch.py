@@ -14,18 +14,19 @@ from importlib.metadata import distributions, entry_points
 from pathlib import Path
 from typing import Any, Literal
 
-from agent.campaign import INTERRUPTED, WALK, Found, Past, Progress, Runner
+from agent.campaign import INTERRUPTED, Runner
 from agent.checkpoints import Checkpoints
 from agent.config import Campaign
 from agent.designers import designer
 from agent.live import live
 from agent.moves import Space
+from agent.progress import WALK, Found, Past, Progress
 from luxloop import __version__
 from luxloop.campaign import Ended, Plan, Step
 from luxloop.client import Client
 from luxloop.door import LOST_S, RunDoor
 from luxloop.endpoint import listening
-from luxloop.errors import InputError, LuxloopError
+from luxloop.errors import InputError
 from luxloop.model import Model
 from luxloop.model_file import find_model, to_toml
 from luxloop.process import usable_cores
@@ -246,15 +247,3 @@ def packages() -> str:
     """The installed distributions, one a line."""
     found = {f"{one.metadata['Name']}=={one.version}" for one in distributions() if one.metadata["Name"]}
     return "\n".join(sorted(found, key=str.lower)) + "\n"
-
-
-def runs_of(settings: Settings) -> list[Path]:
-    """The folders of runs, the newest last."""
-    folder = settings.runs_dir
-    try:
-        found = [path for path in folder.iterdir() if any(path.glob("audit-*.mcap"))]
-    except OSError as error:
-        if isinstance(error, FileNotFoundError):
-            return []
-        raise LuxloopError(f"{folder}: {error.strerror}") from error
-    return sorted(found, key=lambda path: path.stat().st_mtime)

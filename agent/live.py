@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from agent.campaign import Progress
 from agent.in_words import line, plain
+from agent.progress import Progress
 from luxloop.errors import LuxloopError
 
 if TYPE_CHECKING:

@@ -41,7 +41,7 @@ def report(
     quiet: Annotated[bool, typer.Option("--quiet", help="Say nothing on stderr but errors.")] = False,
 ) -> None:
     """Write a run's report: learning curve, best designs with errors, maps, losses; one page, nothing to load."""
-    from agent.campaign_command import folder_of
+    from agent.run_folders import folder_of
 
     settings = load_settings(runs=runs)
     folders = [folder_of(settings, name) for name in dict.fromkeys(run)]

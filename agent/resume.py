@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
-from agent.campaign import Past, WalkEnd
 from agent.config import Campaign
 from agent.launch import Launched, Start, warn
+from agent.progress import Past, WalkEnd
 from agent.recorded import Recorded, Told, recorded
 from luxloop import __version__
 from luxloop.errors import InputError

@@ -40,7 +40,7 @@ def read_back(folder: Path, begin: Begin) -> Past:
             raise _refused(f"the journal in {folder} is not the one that is to be gone on with", mend)
         if broken:
             raise _refused(f"{broken[0].what}: {broken[0].found}", f"luxloop audit recover {folder} --replace")
-        return _read(journal, begin.plan)
+        return past_of(journal, begin.plan)
     except RemoteError:
         raise
     except (LuxloopError, OSError) as error:
@@ -151,7 +151,8 @@ def _refuse_another(journal: RunJournal, begin: Begin) -> None:
         raise _refused(f"the run {name!r} was begun with another plan: {differ} differ", "take another id")
 
 
-def _read(journal: RunJournal, plan: Plan) -> Past:
+def past_of(journal: RunJournal, plan: Plan) -> Past:
+    """What a journal holds of a run of this plan."""
     steps: dict[tuple[int, int], Step] = {}
     tables: dict[str, Film] = {}
     sequence = 0

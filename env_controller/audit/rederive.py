@@ -16,12 +16,10 @@ import numpy as np
 from env_controller import actions as a
 from env_controller.environment import EnvironmentAgent
 from env_controller.events import Command
-from env_controller.rewards import reward_of
 from env_controller.trials import Lane, Run
 from luxloop import __version__
 from luxloop.audit import Compared, Place
-from luxloop.campaign import Action, Cut, Move, Plan, Step
-from luxloop.design import Design
+from luxloop.campaign import Action, Cut, Plan, Step
 from luxloop.errors import InputError
 from luxloop.failure import Failure
 from luxloop.journal.reader import RunJournal
@@ -34,17 +32,16 @@ CUT = {"cut_x_um": "x_um", "cut_lx": "illuminance_lx", "cut_error_lx": "illumina
 LAST_BITS = 1e-12
 """Of a reward: powers are rounded by each system's own library."""
 TURNS = 8  # a film, its rays, and both again where the film has gone
-OUTSIDE = 1000  # steps: a move that leads out of any bounds
 LEAVES = 3  # of two documents that differ, shown
-LED_OUT = "the move leads out of the bounds of "
 
 
 def re_derive(journal: RunJournal, say: Callable[[Compared], None], *, same_machine: bool) -> None:  # noqa: ARG001
-    """Compares requests, state, feasibility, reward and figures of every step with what follows from the replies.
+    """Compares requests, design, state, feasibility, reward and figures of every step with what follows from its move
+    and the replies.
 
     And the maps and cut lines on record with the hashes in the replies. No bit of it depends on the machine.
     """
-    past = Replayed(plan_of(journal))
+    past = Replayed(journal.attached("plan.json", Plan))
     for entry in journal.records(*TOPICS):
         if entry.topic == "/step":
             past.step(entry.value, Place.of(say, entry.sequence, entry.value), entry.sequence)
@@ -54,14 +51,6 @@ def re_derive(journal: RunJournal, say: Callable[[Compared], None], *, same_mach
             past.requests[entry.value.task_id], past.version = entry.value, entry.value.version
         else:
             past.replies[entry.value.task_id] = entry.value
-
-
-def plan_of(journal: RunJournal) -> Plan:
-    """The plan with which a run was begun. Raises InputError where there is none."""
-    found = journal.attachments().get("plan.json")
-    if found is None:
-        raise InputError(str(journal.folder), "no plan.json", "a run with its plan", "was it written by luxloop?")
-    return Plan.model_validate_json(found)
 
 
 class Replayed:
@@ -85,7 +74,7 @@ class Replayed:
         reply = self.replies.get(logged.task_id or "")
         self._arrays(logged, reply, at, sequence)
         try:
-            action = self._action(logged, lane)
+            action = self._action(logged)
             now, tasks = self._told(action, logged)
         except InputError as error:
             at.scored("action", "differs", str(logged.design), "refused", str(error))
@@ -96,10 +85,12 @@ class Replayed:
             lane.follow(logged)
             return
         self._requests(logged, tasks, at)
+        at.exact("design", *first_leaves(logged.design.model_dump(), now.design.model_dump()))
         at.exact("state", logged.state, now.state)
         at.exact("feasibility", (logged.feasible, logged.reason), (now.feasible, now.reason))
         at.exact("failure", logged.failure, now.failure)
-        self._reward(logged, now, action, at)
+        tolerance = LAST_BITS * max(1.0, abs(now.reward))
+        at.near("reward", logged.reward, now.reward, tolerance, "the last bits of a power")
         figures = (logged.uniformity, logged.uniformity_error), (now.uniformity, now.uniformity_error)
         at.exact("uniformity", *figures)
         at.exact("figures", *first_leaves(logged.figures, now.figures))
@@ -107,14 +98,14 @@ class Replayed:
             del self.replies[reply.task_id]
         self.requests.pop(logged.task_id or "", None)
 
-    def _action(self, step: Step, lane: Lane) -> Action:
+    def _action(self, step: Step) -> Action:
+        """The action that a step says it came of: a move is rewarded as one, a design that was asked for begins."""
         words = {"run": step.run, "designer": "auditor", "lane": step.lane, "number": step.number}
         if step.final:
             request = self.requests.get(step.task_id or "")
             seed = str(request.inputs.get("seed", "1")) if request else "1"
             return Action(**words, design=step.design, final=True, seed=seed, role=step.role)
-        move = move_of(self.plan, lane, step)
-        return Action(**words, move=move) if move else Action(**words, design=step.design)
+        return Action(**words, move=step.move) if step.move else Action(**words, design=step.design)
 
     def _told(self, action: Action, logged: Step) -> tuple[Step | None, list[Task]]:
         """What the agent tells, and the tasks it wanted on the way; None where the journal lacks a reply."""
@@ -160,13 +151,6 @@ class Replayed:
                 else:
                     at.exact(f"{kind} request", *leaf)
 
-    def _reward(self, logged: Step, now: Step, action: Action, at: Place) -> None:
-        """Where a step may have been a move or a new beginning either reward is right: level 3 knows which it was."""
-        reward, beginning = now.reward, reward_of(self.plan.reward, now.uniformity, None)
-        if action.move is not None and now.failure is None and abs(logged.reward - beginning) <= LAST_BITS:
-            reward = beginning
-        at.near("reward", logged.reward, reward, LAST_BITS * max(1.0, abs(reward)), "the last bits of a power")
-
     def _arrays(self, logged: Step, reply: ReplyRecord | None, at: Place, sequence: int) -> None:
         """Map and cut on record against the hashes of what the worker sent."""
         seen = self.map_sha256.pop(sequence, None)
@@ -177,28 +161,6 @@ class Replayed:
         if logged.cut is not None:
             names = [name for name in CUT if name in reply.arrays]
             at.exact("cut", [reply.arrays[name] for name in names], [_sha256(logged.cut, name) for name in names])
-
-
-def move_of(plan: Plan, lane: Lane, step: Step) -> Move | None:
-    """The move that leads from where a lane is to a step's design; None where only a new beginning does.
-
-    A move out of the bounds leaves the lane where it is.
-    """
-    if lane.design is None:
-        return None
-    changed = [name for name in Design.FIELDS if getattr(step.design, name) != getattr(lane.design, name)]
-    unknown = step.failure is not None and step.task_id is None and step.film_task_id is None
-    if not changed and (step.reason.startswith(LED_OUT) or (unknown and lane.uniformity is None)):
-        name = step.reason.removeprefix(LED_OUT) or Design.FIELDS[0]
-        return Move.model_validate({"variable": name, "steps": OUTSIDE})
-    if len(changed) != 1:
-        return None
-    (name,) = changed
-    change = getattr(step.design, name) - getattr(lane.design, name)
-    steps = round(change / getattr(plan.bounds.step, name))
-    if steps == 0 or plan.bounds.moved(lane.design, name, steps) != step.design:
-        return None
-    return Move.model_validate({"variable": name, "steps": steps})
 
 
 def first_leaves(logged: dict[str, Any], now: dict[str, Any]) -> tuple[Any, Any]:

@@ -130,7 +130,7 @@ def audit_rooms(replay: Replay) -> None:
 
 def facts_of(journal: RunJournal) -> dict[str, str]:
     """Where a run was made: the controller's facts, and what it lacks from the list of the designer's packages."""
-    listed = journal.attachments().get("packages.txt", b"").decode().lower()
+    listed = journal.attachments().get("packages.txt", b"").decode(errors="replace").lower()
     packages = dict(line.split("==", 1) for line in listed.splitlines() if "==" in line)
     environment = journal.metadata("environment")
     return packages | {name: fact for name, fact in environment.items() if fact != "not installed"}

@@ -12,10 +12,11 @@ from typing import Any
 import pytest
 
 from agent.auditor import re_decide
-from agent.campaign import Runner, WalkEnd
+from agent.campaign import Runner
 from agent.config import Campaign, Stop
 from agent.designers import designer
 from agent.moves import Space
+from agent.progress import WalkEnd
 from luxloop.audit import Compared
 from luxloop.campaign import Action, AgentRecord, Begin, Note, Plan, Step
 from luxloop.design import Bounds, Design

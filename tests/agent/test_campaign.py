@@ -9,10 +9,11 @@ from typing import Any
 
 import pytest
 
-from agent.campaign import Found, Runner, fresh_seed
+from agent.campaign import Runner, fresh_seed
 from agent.config import Campaign, Stop, read_campaign
 from agent.designers import designer
 from agent.moves import Space
+from agent.progress import Found
 from luxloop.campaign import Action, Step
 from luxloop.design import Bounds, Design
 from luxloop.errors import InputError

@@ -10,11 +10,12 @@ import pytest
 
 from agent import checkpoints as c
 from agent.ask_tell import Checkpoint
-from agent.campaign import Found, Past, Runner, WalkEnd
+from agent.campaign import Runner
 from agent.checkpoints import Checkpoints
 from agent.config import Campaign, Stop
 from agent.designers import designer
 from agent.moves import Space
+from agent.progress import Found, Past, WalkEnd
 from luxloop.campaign import Action, Step
 from luxloop.errors import InputError
 from tests.agent.test_campaign import BOUNDS, Door

@@ -13,11 +13,11 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from agent import campaign_command
-from agent.campaign import Progress
+from agent import runs_command
 from agent.follow import Listener, Seen, evaluations_of, from_journal, name_of, played
 from agent.live import View
 from agent.overview import overview
+from agent.progress import Progress
 from env_controller.audit.playback import Pace, frame_of, publish
 from luxloop.bus.frame import encode
 from luxloop.bus.keys import at
@@ -32,7 +32,7 @@ from tests.conftest import wait_for
 from tests.local_bus import LocalBus, LocalRouter
 
 app = typer.Typer()
-app.command()(campaign_command.status)
+app.command()(runs_command.status)
 
 
 def ask(*argv: object) -> list[dict[str, Any]]:

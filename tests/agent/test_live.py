@@ -7,9 +7,9 @@ from typing import Any
 
 from rich.console import Console
 
-from agent.campaign import Progress
 from agent.in_words import line, plain
 from agent.live import View, live
+from agent.progress import Progress
 from luxloop.campaign import Step
 from luxloop.design import Design
 from luxloop.errors import RemoteError

@@ -297,6 +297,67 @@ def test_a_step_number_out_of_all_bounds_is_no_trouble(tmp_path: Path) -> None:
     assert "4,294,967,294 missing in the sequence, the first is 1" in said(ask("verify", folder)[1])
 
 
+def test_a_lane_counts_its_steps(tmp_path: Path) -> None:
+    """A number left out, one that is there twice, two that have changed places: named with their lanes."""
+    steps = [a_step(number, lane=lane) for number in range(3) for lane in range(2)]
+
+    def told(name: str, change: dict[int, int]) -> str:
+        changed = [step.model_copy(update={"number": change.get(i, step.number)}) for i, step in enumerate(steps)]
+        code, document = ask(
+            "verify", rewritten(tmp_path / name, [step_record(step, i, 9) for i, step in enumerate(changed)])
+        )
+        assert code == (5 if change else 0)
+        return said(document)
+
+    assert told("whole", {}) == ""
+    assert "broken audit-0001.mcap: step 3 is action 70,000 of lane 1, where action 1 is due" in told(
+        "gap", {3: 70_000}
+    )
+    assert "step 4 is action 1 of lane 0, where action 2 is due" in told("twice", {4: 1})
+    assert "step 1 is action 1 of lane 1, where action 0 is due" in told("swapped", {1: 1, 3: 0})
+    both = told("both", {2: 2, 3: 2})
+    assert both.count("is due") == 2
+
+
+def test_a_lane_counts_on_in_the_next_segment(tmp_path: Path) -> None:
+    """Which repeats a number of the one before."""
+    write_run(tmp_path, 3)
+    journal = open_journal(tmp_path)
+    put(journal, [step_record(a_step(2), 3, 9)])
+    journal.finish()
+    journal.close()
+    code, document = ask("verify", tmp_path)
+    assert code == 5
+    assert "broken audit-0002.mcap: step 3 is action 2 of lane 0, where action 3 is due" in said(document)
+
+
+@pytest.mark.parametrize("topic", ["/step", "/agent", "/note", "/log", "/map/sim"])
+@pytest.mark.parametrize("data", [b"{not json", b"\xff\xfe", b'{"run":"x"}', b"[" * 100_000])
+def test_a_record_that_is_none_breaks_the_journal(tmp_path: Path, topic: str, data: bytes) -> None:
+    """It was not written by the controller; which one it is, is told."""
+    records = records_of_step(0)
+    folder = rewritten(tmp_path / "r", [*records, Record(topic, 0, 9, data)])
+    code, document = ask("verify", folder)
+    assert code == 5
+    assert f"broken audit-0001.mcap: {topic} of step 0" in said(document)
+
+
+def test_another_format_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of the whole run, or of one segment of several: what this release would read there may mean something else."""
+    with monkeypatch.context() as patch:
+        patch.setattr("luxloop.journal.segment.FORMAT", "2")
+        write_run(tmp_path / "whole", 2)
+    told = "broken audit-000{}.mcap: written in format 2; this release reads 1"
+    code, document = ask("verify", tmp_path / "whole")
+    assert (code, told.format(1) in said(document)) == (5, True)
+    write_run(tmp_path / "mixed", 2)
+    with monkeypatch.context() as patch:
+        patch.setattr("luxloop.journal.segment.FORMAT", "2")
+        write_run(tmp_path / "mixed", 2, first=2)
+    code, document = ask("verify", tmp_path / "mixed")
+    assert (code, told.format(2) in said(document), told.format(1) in said(document)) == (5, True, False)
+
+
 def foreign(folder: Path) -> None:
     """A run's folder with an MCAP file of another program."""
     folder.mkdir()

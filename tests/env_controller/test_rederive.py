@@ -16,6 +16,7 @@ from luxloop import __version__
 from luxloop.audit import Compared
 from luxloop.campaign import Action, Begin, Plan, Step
 from luxloop.design import Bounds, Design
+from luxloop.errors import InputError
 from luxloop.failure import Failure
 from luxloop.journal.journal import Journal
 from luxloop.journal.reader import RunJournal
@@ -103,6 +104,17 @@ def compared(journal: RunJournal) -> list[Compared]:
     return said
 
 
+def differences(journal: RunJournal) -> list[Compared]:
+    """What differs, in the order of the journal."""
+    return sorted((one for one in compared(journal) if one.verdict == "differs"), key=lambda one: one.sequence)
+
+
+def forge(run: Run, step: Step, place: int) -> None:
+    """Puts another step in the place of one."""
+    forged = step_record(step, place, START_NS)
+    run.records = [forged if one.topic == "/step" and one.sequence == place else one for one in run.records]
+
+
 @pytest.mark.parametrize("reward", ["gain", "r1", "r2", "r3"])
 def test_all_that_an_agent_tells_follows_again(tmp_path: Path, reward: str) -> None:
     """Known designs, moves that lead out, what cannot be built, lost workers, new beginnings, finalists."""
@@ -141,12 +153,54 @@ def test_what_an_agent_would_refuse_differs(tmp_path: Path) -> None:
     """A step outside the bounds of its plan was never told by a controller."""
     run, steps = a_walk("r2", seed=5)
     outside = steps[4].design.model_copy(update={"distance_um": 500.0})
-    forged = step_record(steps[4].model_copy(update={"design": outside}), 4, START_NS)
-    run.records = [forged if one.topic == "/step" and one.sequence == 4 else one for one in run.records]
-    first = min((one for one in compared(run.journal(tmp_path / "one")) if one.verdict == "differs"),
-                key=lambda one: one.sequence)  # fmt: skip
+    forge(run, steps[4].model_copy(update={"design": outside, "move": None}), 4)
+    first = differences(run.journal(tmp_path / "one"))[0]
     assert (first.what, first.sequence) == ("action", 4)
     assert "stay within the run's bounds" in first.why
+
+
+def test_a_design_to_which_its_move_does_not_lead_differs(tmp_path: Path) -> None:
+    """Design and state agree; the move on record leads elsewhere."""
+    run, steps = a_walk("gain", seed=5, failing=1000)
+    place = next(i for i, step in enumerate(steps) if step.move and step.design != steps[i - 2].design)
+    forge(
+        run,
+        steps[place].model_copy(update={"design": steps[place - 2].design, "state": steps[place - 2].state}),
+        place,
+    )
+    found = differences(run.journal(tmp_path / "one"))
+    assert {one.what for one in found} == {"design", "state"}
+    assert {one.sequence for one in found} == {place}
+
+
+@pytest.mark.parametrize("reward", ["gain", "r1"])
+def test_a_move_is_not_rewarded_as_a_beginning(tmp_path: Path, reward: str) -> None:
+    """All rewards of the walk set to that of a beginning: every move that gained or lost is found, and only these."""
+    run, steps = a_walk(reward, seed=3)
+    for place, step in enumerate(steps):
+        forge(run, step.model_copy(update={"reward": 0.0}), place)
+    found = differences(run.journal(tmp_path / "one"))
+    assert {one.what for one in found} == {"reward"}
+    assert [one.sequence for one in found] == [place for place, step in enumerate(steps) if step.reward]
+    assert len(found) > len(steps) / 3
+
+
+def test_a_beginning_is_not_rewarded_as_a_move(tmp_path: Path) -> None:
+    """A design that was asked for one step from where the lane was: nothing was gained by it."""
+    run, steps = a_walk("gain", seed=3)
+    place = next(i for i, step in enumerate(steps) if i > 1 and not step.move and not step.failure)
+    forge(run, steps[place].model_copy(update={"reward": 0.25}), place)
+    (found,) = differences(run.journal(tmp_path / "one"))
+    assert (found.what, found.sequence, found.now) == ("reward", place, 0.0)
+
+
+@pytest.mark.parametrize("data", [b"{not json", b"\xff\xfe", b'{"run":"x"}'])
+def test_a_plan_that_is_none_is_named(tmp_path: Path, data: bytes) -> None:
+    """Its name, and no traceback."""
+    journal = a_walk("gain", seed=3, count=4)[0].journal(tmp_path / "one")
+    journal.attachments = lambda: {"plan.json": data}  # type: ignore[method-assign]  # as if it had been written so
+    with pytest.raises(InputError, match=r"plan\.json"):
+        compared(journal)
 
 
 def test_requests_of_another_release_keep_their_names(tmp_path: Path) -> None:

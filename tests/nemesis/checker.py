@@ -12,7 +12,7 @@ from pathlib import Path
 
 from env_controller.audit.checks import verify
 from env_controller.audit.contents import Contents
-from env_controller.past import read_back
+from env_controller.past import past_of
 from luxloop.campaign import Plan, Step
 from luxloop.errors import LuxloopError
 from luxloop.journal.reader import RunJournal, segments_of
@@ -205,7 +205,7 @@ def _as_of(folder: Path, path: Path, end: int, copy: Path, plan: Plan) -> dict[t
         if segment.name <= path.name:
             data = segment.read_bytes()
             (copy / segment.name).write_bytes(data[:end] if segment == path else data)
-    return dict(read_back(copy, plan).steps)
+    return dict(past_of(RunJournal(copy), plan).steps)
 
 
 def _holes(steps: Iterable[tuple[int, int]]) -> list[int]:

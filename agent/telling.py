@@ -1,0 +1,61 @@
+"""What a person, or a program, is told at the end of a campaign."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from agent.in_words import line
+from luxloop.settings import load_settings
+
+if TYPE_CHECKING:
+    from agent.launch import Launched
+
+INTERRUPTED = 130
+
+
+def tell(launched: Launched, as_json: bool, page: Path | None = None) -> None:
+    """What was found; exit code 130 where it was interrupted."""
+    document = launched.document() | ({"report": str(page)} if page else {})
+    if as_json:
+        typer.echo(json.dumps(document))
+    else:
+        typer.echo("\n".join(as_text(document)))
+    if launched.interrupted:
+        if as_json:
+            sys.stderr.write(f"interrupted; to go on: luxloop campaign resume {launched.run}\n")
+        raise typer.Exit(INTERRUPTED)
+
+
+def as_text(document: dict[str, Any]) -> list[str]:
+    """The lines a person reads at the end of a campaign."""
+    counts = f"{document['evaluations']} designs in {document['steps']} steps, {document['episodes']} episodes"
+    lines = [
+        f"run          {document['run']}: {document['reason']}",
+        f"evaluated    {counts}, {document['wall_s']:.0f} s",
+    ]
+    best, start, bare = (document[name] for name in ("best", "start", "without_dbr"))
+    if best:
+        lines.append(f"best         {line(best)}")
+        lines += [f"finalist {i}   {line(one)}" for i, one in enumerate(document["finalists"], 1)]
+    if start:
+        lines.append(f"start        {line(start)}")
+    if bare:
+        lines.append(f"without DBR  {line(bare)}")
+    if best and start:
+        gain = 100.0 * (best["uniformity"] - start["uniformity"])
+        error = 100.0 * (best["uniformity_error"] ** 2 + start["uniformity_error"] ** 2) ** 0.5
+        lines.append(f"gained       {gain:+.2f} +- {error:.2f} points over the start")
+    lines.append(f"journal      {document['folder']}: {document['records']} records, root {document['root']}")
+    if document["interrupted"]:
+        lines.append(f"next         luxloop campaign resume {document['run']}")
+    elif "report" in document:
+        lines.append(f"report       {document['report']}")
+    else:
+        near = Path(document["folder"]).parent == load_settings().runs_dir.resolve()
+        lines.append(f"next         luxloop campaign report {document['run'] if near else document['folder']}")
+    return lines
