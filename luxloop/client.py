@@ -88,7 +88,7 @@ class Client:
         """The worker's answer. Raises RemoteError with the typed failure where there is none.
 
         `limit_s` bounds one attempt's computation; `fresh` computes again what the controller still has; `until` ends
-        the waiting when it is set; `on_pending` is told every 20 s how far it is.
+        the waiting when it is set; `on_pending` is told every 5 s how far it is.
         """
         task, until = as_task(request), until or self._closing
         row, key = KEYS["submit"], at(self.settings.realm, "submit", kind=as_task(request).kind)

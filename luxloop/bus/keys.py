@@ -14,7 +14,8 @@ from luxloop.words import Words
 
 Role = Literal["controller", "worker", "client", "anybody"]
 
-HOLD_S = 20.0  # how long the controller holds a query open; then it answers Pending or Nothing
+HOLD_S = 5.0  # how long the controller holds a query open; then it answers Pending or Nothing, and is asked again.
+# An answer that gets lost with a router that dies is missed for this and 5 s more; asking again costs 1 ms.
 SHORT_S = 5.0  # a query that is answered at once
 
 
