@@ -78,7 +78,10 @@ def test_a_late_answer_of_a_lost_attempt(tmp_path: Path, mutant: str) -> None:
         liar = wait_for_liar(lab)
         name = next(name for name in ("ray-1", "ray-2") if lab.processes[name].pid == liar["pid"])
         lab.signal(name, signal.SIGSTOP)
+        stopped_s = time.monotonic()
         wait_for(lambda: second_attempt(lab, liar), "the second attempt", 20.0)
+        # that may be a hedge, and the first lease stand still: until its worker was silent for too long
+        time.sleep(max(0.0, stopped_s + lab.settings.silence_s + 1.5 - time.monotonic()))
         lab.signal(name, signal.SIGCONT)
         wait_for(lambda: delivered(lab, 1), "the late answer", 10.0)
         time.sleep(1.0)  # what comes of it is noted a moment later
