@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shlex
 import sys
 from dataclasses import asdict
 from datetime import UTC, datetime
@@ -78,6 +79,10 @@ def verify(
     else:
         for finding in audit.findings:
             typer.echo(_line(finding))
+        if code:
+            typer.echo(
+                f"next   luxloop audit recover {shlex.quote(str(folder))}   # what was committed, --replace to go on"
+            )
     if code:
         raise typer.Exit(code)
 
