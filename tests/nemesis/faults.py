@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import random
 import signal
 from collections.abc import Callable, Iterator
@@ -139,14 +140,30 @@ def _torn_write(lab: Lab, rng: random.Random) -> None:
     with lab.lock:
         lab.kill("controller")
         path = _unfinished(lab)
-        if path is None:
+        if path is not None:
+            tear(path, rng)
+
+
+def tear(path: Path, rng: random.Random) -> None:
+    """Append the beginning of a batch to a segment, the last one's, cut where it is no whole commit.
+
+    Only its index records may be missing of a batch that is a commit: twice the same would be a forged journal.
+    """
+    scan = Scan(path)
+    ends = [scan.read_bytes for _ in scan]  # at each commit: where the one before it ended
+    if len(ends) < 2 or scan.left_bytes:  # no batch of a run that is open, or torn before
+        return
+    whole_bytes = path.stat().st_size
+    batch = path.read_bytes()[ends[-1] : scan.read_bytes]
+    cut = len(batch)
+    while cut > 1:
+        cut = rng.randint(1, cut - 1)
+        with suppress(OSError), path.open("ab", buffering=0) as file:  # on a full disk it is torn earlier
+            file.write(batch[:cut])
+        torn = Scan(path)
+        if sum(1 for _ in torn) == len(ends) and not torn.fault:
             return
-        scan = Scan(path)
-        ends = [scan.read_bytes for _ in scan]  # at each commit: where the one before it ended
-        if len(ends) > 1 and not scan.left_bytes:  # a batch of a run that is open, torn once
-            batch = path.read_bytes()[ends[-1] : scan.read_bytes]
-            with suppress(OSError), path.open("ab", buffering=0) as file:  # on a full disk it is torn earlier
-                file.write(batch[: rng.randint(1, len(batch) - 1)])
+        os.truncate(path, whole_bytes)
 
 
 def _tail_lost(lab: Lab, rng: random.Random) -> None:

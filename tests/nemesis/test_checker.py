@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import random
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from luxloop.journal.reader import RunJournal
-from tests.campaign_runs import whole_run
+from luxloop.journal.reader import RunJournal, segments_of
+from luxloop.journal.scan import Scan
+from tests.campaign_runs import START, RunOnDisk, whole_run
 from tests.nemesis.checker import check_history, check_run, content
+from tests.nemesis.faults import tear
 from tests.nemesis.history import History, Seen, digests_of
 
 
@@ -98,3 +101,20 @@ def test_a_history_is_read_in_the_order_of_writing(tmp_path: Path) -> None:
     assert [line["step"] for line in one.tellings("r")] == ["0:0", "0:1"]
     one.close()
     two.close()
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_a_torn_write_is_no_commit(tmp_path: Path, seed: int) -> None:
+    """Wherever it is cut: the segment holds the commits that it held, something is left over, nothing is wrong."""
+    run = RunOnDisk(tmp_path / "run")
+    for uniformity in (0.5, 0.6, 0.7):
+        run.evaluated(START, uniformity)
+    run.close()
+    (path,) = segments_of(tmp_path / "run")
+    before = [commit.mark for commit in Scan(path)]
+    tear(path, random.Random(seed))
+    torn = Scan(path)
+    assert [commit.mark for commit in torn] == before
+    assert torn.torn
+    assert torn.left_bytes > 0
+    assert not torn.fault

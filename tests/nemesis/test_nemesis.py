@@ -26,18 +26,10 @@ EVALUATIONS = 60
 
 @pytest.mark.slow
 def test_no_invariant_breaks_in_a_storm(tmp_path: Path) -> None:
-    """What was told stays, tasks end once, nothing old enters, the campaign's content is that of a calm one.
-
-    A campaign that is safe and merely does not end within 90 s gets one more storm of the same seed, and is shown:
-    one of five did so after a link was cut, as two tasks were handed out to nobody; why is not known yet.
-    """
-    for place in ("first", "again"):
-        (tmp_path / place).mkdir()
-        weather = storm(tmp_path / place, STORM_S, SEED, designers=("ddqn-fast",))
-        told = "\n".join(lines(weather))
-        print(told)  # noqa: T201  pytest shows it where the test fails; the seed must be seen
-        if {broken.invariant for broken in weather.broken} != {"a campaign ends"}:
-            break
+    """What was told stays, tasks end once, nothing old enters, the campaign's content is that of a calm one."""
+    weather = storm(tmp_path, STORM_S, SEED, designers=("ddqn-fast",))
+    told = "\n".join(lines(weather))
+    print(told)  # noqa: T201  pytest shows it where the test fails; the seed must be seen
     assert weather.broken == [], told
     assert weather.campaigns >= 1
     assert weather.faults.total() >= 5
