@@ -132,7 +132,7 @@ class Runner:
             if not self._end.reason and self.progress.evaluations + len(self._under_way) < self._stop.evaluations:
                 proposed = self._ask(lane)
                 if proposed is not None:
-                    action = self._action(lane, proposed, self._number(lane))
+                    action = self._action(lane, proposed, self._next_number(lane))
                     self._under_way[lane] = proposed, pool.submit(self._door.act, action)
             if not self._under_way:
                 if not self._end.reason:
@@ -151,7 +151,7 @@ class Runner:
         self.progress.learner_s += time.thread_time() - began_s
         return proposal
 
-    def _number(self, lane: int) -> int:
+    def _next_number(self, lane: int) -> int:
         """The next number of a lane's actions."""
         number, self._numbers[lane] = self._numbers[lane], self._numbers[lane] + 1
         return number
@@ -226,7 +226,7 @@ class Runner:
             for lane, (role, design) in enumerate(wanted[begin : begin + self._lanes]):
                 seed = fresh_seed(self._seed, role, begin + lane)
                 action = Action(
-                    run=self._door.run, designer=self._door.designer, lane=lane, number=self._number(lane),
+                    run=self._door.run, designer=self._door.designer, lane=lane, number=self._next_number(lane),
                     design=design, final=True, seed=seed, role=role,
                 )  # fmt: skip
                 futures.append(pool.submit(self._door.act, action))

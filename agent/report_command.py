@@ -41,10 +41,10 @@ def report(
     quiet: Annotated[bool, typer.Option("--quiet", help="Say nothing on stderr but errors.")] = False,
 ) -> None:
     """Write a run's report: learning curve, best designs with errors, maps, losses; one page, nothing to load."""
-    from agent.run_folders import folder_of
+    from luxloop.run_folders import find_run
 
     settings = load_settings(runs=runs)
-    folders = [folder_of(settings, name) for name in dict.fromkeys(run)]
+    folders = [find_run(name, settings.runs_dir) for name in dict.fromkeys(run)]
     show = sys.stderr.isatty() and not (as_json or quiet)
     document = written(folders, under or [], out or folders[0] / PAGE, settings, show)
     typer.echo(json.dumps(document) if as_json else as_text(document))

@@ -13,9 +13,9 @@ import typer
 
 from agent.in_words import line
 from agent.options import Json, NoLocal, Quiet, Router, Runs
-from agent.run_folders import folder_of, refuse_unreadable, runs_of
 from agent.telling import tell
 from luxloop.errors import InputError, LuxloopError
+from luxloop.run_folders import find_run, refuse_unreadable, runs_in
 from luxloop.settings import Settings, load_settings
 
 
@@ -23,7 +23,7 @@ def list_(runs: Runs = None, as_json: Json = False) -> None:
     """The runs in the results folder, the newest last."""
     from agent.overview import overview
 
-    rows = [_row(overview, folder) for folder in runs_of(load_settings(runs=runs))]
+    rows = [_row(overview, folder) for folder in runs_in(load_settings(runs=runs).runs_dir)]
     if as_json:
         typer.echo(json.dumps({"runs": rows}))
         return
@@ -66,7 +66,7 @@ def status(
     if follow:
         _follow(settings, run, source, as_json, sys.stdout.isatty() and not (as_json or quiet))
         return
-    row = overview(folder_of(settings, _named(run)))
+    row = overview(find_run(_named(run), settings.runs_dir))
     if as_json:
         typer.echo(json.dumps(row))
         return
@@ -82,7 +82,7 @@ def _follow(settings: Settings, run: str | None, source: str | None, as_json: bo
     from agent import follow
 
     if source is None:
-        follow.follow_run(folder_of(settings, _named(run)), as_json=as_json, show=show)
+        follow.follow_run(find_run(_named(run), settings.runs_dir), as_json=as_json, show=show)
     else:
         follow.follow_replay(settings, source, as_json=as_json, show=show)
 
@@ -108,7 +108,7 @@ def resume(
     from agent.resume import resume as go_on
 
     settings = load_settings(router=router, runs=runs)
-    folder = folder_of(settings, run)
+    folder = find_run(run, settings.runs_dir)
     settings = settings.model_copy(update={"runs": folder.resolve().parent})
     say = not (as_json or quiet)
     show = sys.stderr.isatty() and say

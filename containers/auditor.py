@@ -38,7 +38,7 @@ NAMES = {"uniformity": "uniformity", "hot_spot_ratio": "hot-spot ratio"}
 MAP = "float32 of the map, and modes finer than it"
 
 
-def re_derive(journal: RunJournal, say: Callable[[Compared], None], *, same_machine: bool) -> None:  # noqa: ARG001
+def re_derive(journal: RunJournal, say: Callable[[Compared], None], *, same_machine: bool) -> None:  # noqa: ARG001  # bits count on any machine
     """Compares uniformity, mean illuminance, hot-spot ratio and efficiency of every step that left arrays."""
     maps: dict[int, Real] = {}
     received: dict[str, Any] = {}

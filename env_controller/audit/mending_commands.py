@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from env_controller.audit.commands import Json, Quiet, Run, Runs
-from env_controller.audit.runs import find_run
 from luxloop.errors import InputError
+from luxloop.run_folders import find_run
 from luxloop.settings import load_settings
 
 if TYPE_CHECKING:

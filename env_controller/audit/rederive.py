@@ -35,7 +35,7 @@ TURNS = 8  # a film, its rays, and both again where the film has gone
 LEAVES = 3  # of two documents that differ, shown
 
 
-def re_derive(journal: RunJournal, say: Callable[[Compared], None], *, same_machine: bool) -> None:  # noqa: ARG001
+def re_derive(journal: RunJournal, say: Callable[[Compared], None], *, same_machine: bool) -> None:  # noqa: ARG001  # bits count on any machine
     """Compares requests, design, state, feasibility, reward and figures of every step with what follows from its move
     and the replies.
 

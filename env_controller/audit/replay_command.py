@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from env_controller.audit.runs import find_run
 from luxloop.errors import InputError
+from luxloop.run_folders import find_run
 from luxloop.settings import Settings, load_settings
 
 if TYPE_CHECKING:

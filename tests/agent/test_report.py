@@ -371,7 +371,7 @@ def test_several_runs_stand_side_by_side(tmp_path: Path, command: typer.Typer) -
 @pytest.mark.parametrize(
     ("arguments", "field"),
     [
-        (["nothing"], "run"),
+        (["nothing"], "RUN"),
         (["trial", "--out", "page.pdf"], "--out"),
         (["trial", "--out", "no/such/folder/page.html"], "--out"),
         (["trial", "--under", "no-such-model"], "model"),

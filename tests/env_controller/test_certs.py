@@ -25,6 +25,7 @@ from luxloop.endpoint import listening
 from luxloop.errors import InputError, LuxloopError
 from luxloop.settings import Settings, as_environment
 from tests.conftest import stop, wait_for
+from tests.doctor import ill
 from tests.secured_set import free_tls_endpoint
 
 DAY = timedelta(days=1)
@@ -45,16 +46,7 @@ def command(*argv: str, cwd: Path) -> subprocess.CompletedProcess[str]:
 def found_by_the_doctor(folder: Path, *argv: str) -> dict[str, dict[str, Any]]:
     """What the doctor says of a folder of certificates, by what it looked at; no router is there."""
     settings = Settings(certs=folder, router=free_tls_endpoint(), cache=folder.parent / "cache")
-    done = subprocess.run(
-        [sys.executable, "-m", "luxloop", "doctor", "--json", *argv],
-        env=as_environment(settings),
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-    )
-    assert done.returncode == 1, done.stderr
-    return {finding["what"]: finding for finding in json.loads(done.stdout)["findings"]}
+    return ill(settings, *argv)
 
 
 @pytest.fixture

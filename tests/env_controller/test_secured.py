@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -23,10 +19,11 @@ from luxloop.errors import RemoteError
 from luxloop.film import FilmTableRequest, Spectrum
 from luxloop.model import Environment
 from luxloop.ray import RayRequest
-from luxloop.settings import Settings, as_environment
+from luxloop.settings import Settings
 from luxloop.words import parse
 from tests.campaign_runs import plan_of
 from tests.conftest import processes_with, start, stop, wait_for
+from tests.doctor import doctor
 from tests.secured_set import SecuredSet, free_tls_endpoint, running_router
 
 
@@ -36,19 +33,6 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[SecuredSet]:
     secured = SecuredSet(tmp_path_factory.mktemp("lab"))
     yield secured
     secured.close()
-
-
-def doctor(settings: Settings, *argv: str) -> tuple[int, dict[str, dict[str, Any]]]:
-    """The doctor's exit code and findings."""
-    done = subprocess.run(
-        [sys.executable, "-m", "luxloop", "doctor", "--json", *argv],
-        env=as_environment(settings),
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-    )
-    return done.returncode, {finding["what"]: finding for finding in json.loads(done.stdout)["findings"]}
 
 
 def test_a_client_starts_a_secured_set_that_computes_a_film_and_rays(tmp_path: Path) -> None:
