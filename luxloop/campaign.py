@@ -239,6 +239,10 @@ class Note(Words):
     designer: Name
     agent: AgentRecord | None = None
     result: Plain | None = Field(None, description="What was found, at the end of a run.")
+    validation: Plain | None = Field(None, description="A `ValidationStep`: model and data compared.")
+    residual_maps: dict[Name, tuple[tuple[float, ...], ...]] = Field(
+        default_factory=dict, max_length=64, description="In standard deviations, by shot."
+    )
     log: Text = ""
 
 

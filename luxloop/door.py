@@ -19,7 +19,7 @@ from uuid import uuid4
 from luxloop.bus import Interrupt
 from luxloop.bus.frame import Parcel
 from luxloop.bus.keys import name_of
-from luxloop.campaign import Action, AgentRecord, Begin, Begun, End, Ended, Note, Plan, Step
+from luxloop.campaign import Action, Begin, Begun, End, Ended, Note, Plan, Step
 from luxloop.client import AGAIN, Client
 from luxloop.errors import RemoteError
 from luxloop.failure import Failure, printable
@@ -102,14 +102,9 @@ class RunDoor:
             mend=f"luxloop campaign resume {self.run}",
         )  # fmt: skip
 
-    def note(
-        self, *, agent: AgentRecord | None = None, result: Mapping[str, Any] | None = None, log: str = ""
-    ) -> None:
-        """Put something on record; returns once it is on the controller's disk."""
-        note = Note(
-            run=self.run, designer=self.designer, agent=agent, result=dict(result) if result else None, log=log
-        )
-        self._asked("note", note).expect(Receipt)
+    def note(self, **what: Any) -> None:
+        """Put something on record, a field of `Note` each; returns once it is on the controller's disk."""
+        self._asked("note", Note(run=self.run, designer=self.designer, **what)).expect(Receipt)
 
     def end(self, reason: str, patience_s: float = LOST_S, *, complete: bool = False) -> Ended:
         """Finish the journal; records and root, which should leave the machine. `complete`: nothing is left to do."""

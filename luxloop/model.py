@@ -134,6 +134,13 @@ class Fit(Strict):
         return self
 
 
+class Data(Strict):
+    """The measurements that a model is compared with; recorded by `luxloop compare`."""
+
+    path: str = Field(min_length=1, max_length=4000, description="Folder of the data set, from the model file's own.")
+    sha256: str = Field(pattern=r"^[0-9a-f]{64}$", description="Of the data set as it was compared.")
+
+
 class Model(Words):
     """A model file's content: an environment, the effects on top of it in their order, what may be fitted."""
 
@@ -142,6 +149,7 @@ class Model(Words):
     environment: Environment = Environment()
     effects: tuple[AppliedEffect, ...] = Field((), max_length=100, description="Each under its own [[effects]].")
     fit: dict[str, Fit] = Field(default_factory=dict, description='Each under its own [fit."PATH"].')
+    data: Data | None = Field(None, description="What `compare` compared it with.")
 
     @field_validator("effects")
     @classmethod

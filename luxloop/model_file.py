@@ -90,6 +90,8 @@ def to_toml(model: Model) -> str:
         lines += _values(getattr(model.environment, name))
     for path, fit in model.fit.items():
         lines += ["", f"[fit.{_toml(path)}]", *(f"{k} = {_toml(v)}" for k, v in fit if v is not None)]
+    if model.data is not None:
+        lines += ["", "[data]", *(f"{k} = {_toml(v)}" for k, v in model.data)]
     for effect in model.effects:
         lines += ["", "[[effects]]", f"name = {_toml(effect.name)}"]
         lines += [f"source_sha256 = {_toml(effect.source_sha256)}"] * (effect.source_sha256 is not None)

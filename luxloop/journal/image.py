@@ -47,8 +47,8 @@ class LogLine:
     name: str = ""
 
 
-def image_of(map_yx: NDArray[Any], log_time_ns: int) -> bytes:
-    """A map (y, x), row 0 at the lowest y, as an image of float32, row 0 at the top.
+def image_of(map_yx: NDArray[Any], log_time_ns: int, frame: str = FRAME) -> bytes:
+    """A map (y, x), row 0 at the lowest y, as an image of float32, row 0 at the top; `frame`: of what.
 
     Raises InputError where it has not two dimensions, or a value is not finite in float32.
     """
@@ -60,7 +60,7 @@ def image_of(map_yx: NDArray[Any], log_time_ns: int) -> bytes:
         raise InputError("map", float(np.max(map_yx)), "finite values up to 3.4e38")
     height, width = pixels.shape
     image = _message(IMAGE)(
-        timestamp=_stamp(log_time_ns), frame_id=FRAME, width=width, height=height, encoding=ENCODING,
+        timestamp=_stamp(log_time_ns), frame_id=frame, width=width, height=height, encoding=ENCODING,
         step=4 * width, data=pixels.tobytes(),
     )  # fmt: skip
     return bytes(image.SerializeToString(deterministic=True))

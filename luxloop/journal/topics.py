@@ -64,6 +64,18 @@ class NoteRecord(Words):
     result: Plain
 
 
+class ValidationStep(Words):
+    """A step of comparing a model with measurements: on what, what was asked of the workers, what was found."""
+
+    run: RunId
+    command: Name
+    model_sha256: Sha256
+    dataset_sha256: Sha256
+    seed: Text = ""
+    tasks: tuple[Text, ...] = Field((), max_length=10_000, description="Ids of what the workers were asked.")
+    document: Plain
+
+
 class Checkpoint(Words):
     """How far the chain has come when records became durable."""
 
@@ -83,11 +95,16 @@ TOPICS: dict[str, type[Words] | str] = {
     "/step": Step,
     "/agent": LearnerRecord,
     "/note": NoteRecord,
+    "/validation": ValidationStep,
+    "/map/residual": IMAGE,
     "/log": LOG,
     CHAIN: Checkpoint,
 }
 """The record of each topic: words as JSON, or the name of a protobuf message."""
-CHANNEL_FACTS: dict[str, dict[str, str]] = {"/map/sim": {"unit": "lx", "row_0": "highest y", "axes": "y, x"}}
+CHANNEL_FACTS: dict[str, dict[str, str]] = {
+    "/map/sim": {"unit": "lx", "row_0": "highest y", "axes": "y, x"},
+    "/map/residual": {"unit": "standard deviations of the noise", "row_0": "highest y", "frame_id": "the shot"},
+}
 
 
 class Close(NamedTuple):
@@ -187,6 +204,12 @@ def note_records(note: Note, sequence: int, log_time_ns: int) -> list[Record]:
         records.append(record("/agent", LearnerRecord(run=note.run, **note.agent.model_dump()), *at))
     if note.result is not None:
         records.append(record("/note", NoteRecord(run=note.run, designer=note.designer, result=note.result), *at))
+    if note.validation is not None:
+        step = parse(ValidationStep, {"run": note.run, **note.validation}, "validation")
+        records.append(record("/validation", step, *at))
+    for shot, rows in note.residual_maps.items():
+        image = image_of(np.array(rows, np.float32), log_time_ns, shot)
+        records.append(Record("/map/residual", *at, image))
     if note.log:
         records.append(log_record(note.log, *at, name=note.designer))
     return records

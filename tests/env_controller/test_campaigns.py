@@ -21,7 +21,7 @@ from luxloop.campaign import Action, AgentRecord, Begin, Begun, End, Ended, Fide
 from luxloop.design import Bounds, Design
 from luxloop.failure import Failure
 from luxloop.journal import reader
-from luxloop.journal.topics import Record
+from luxloop.journal.topics import Record, ValidationStep
 from luxloop.messages import Describe, Done, Hello, Lease, Nothing, Outcome, Pull, Receipt
 from luxloop.model import Environment
 from luxloop.settings import Settings
@@ -166,6 +166,25 @@ def test_a_run_from_begin_to_end_is_on_record(desk: Desk, tmp_path: Path) -> Non
     assert [record.sequence for record in records if record.topic == "/step"] == [0, 1]
     assert second.reward == pytest.approx(0.5)
     assert ended.records >= len(records)
+
+
+def test_a_comparison_with_measurements_is_on_record_with_its_residuals(desk: Desk, tmp_path: Path) -> None:
+    """The step as it was told; a map per shot, named by it; what is no such step is refused."""
+    desk.begin(plan(kind="validation"))
+    told = {
+        "command": "compare", "model_sha256": "a" * 64, "dataset_sha256": "b" * 64,
+        "seed": "1", "tasks": ("c" * 64,), "document": {"structure": {"p": 0.25}},
+    }  # fmt: skip
+    maps = {"array-5.5": ((0.5, -1.5), (2.0, 0.0), (1.0, 3.0))}
+    note = Note(run="one", designer="d", validation=told, residual_maps=maps)
+    assert desk.put("note", note, name="one").wait() == Receipt(accepted=True)
+    wrong = Note(run="one", designer="d", validation=told | {"dataset_sha256": "none"})
+    assert refusal(desk.put("note", wrong, name="one").wait()).field == "validation: dataset_sha256"
+    desk.end()
+    records = {record.topic: record for record in written(tmp_path)}
+    assert records["/validation"].value == ValidationStep(run="one", **told)
+    np.testing.assert_array_equal(records["/map/residual"].value, maps["array-5.5"])
+    assert b"array-5.5" in records["/map/residual"].data
 
 
 def test_a_step_is_told_only_once_it_is_on_the_disk(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:

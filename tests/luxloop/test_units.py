@@ -66,6 +66,7 @@ PURE = {
     "exponent": "power of a scatter spectrum's fall",
     # of a comparison
     "z": "difference in standard errors",
+    "residual_maps": "in standard deviations of the noise",
 }
 UNIT_INSIDE = {
     "heard_s_ago": "seconds; reads as a sentence",
