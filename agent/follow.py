@@ -236,7 +236,9 @@ class Writer:
             _put(json.dumps({"event": "step", **facts}))
             return
         at_utc = datetime.fromtimestamp(entry.log_time_ns / 1e9, UTC)
-        so_far = f"  best {100.0 * best.uniformity:.2f} %" if best else ""
+        so_far = f"  best of the walk {100.0 * best.uniformity:.2f} %" if best else ""
+        if step is not None and step.role is not None:
+            so_far = f"  evaluated anew: {step.role.replace('_', ' ')}"
         _put(f"{at_utc:%H:%M:%S} {entry.sequence:>6}  {line(plain(step))}{so_far}")
 
     def status(self, event: str, row: dict[str, Any]) -> None:

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from agent.in_words import line, plain
-from agent.progress import Progress
+from agent.progress import FINALISTS, Progress
 from luxloop.errors import LuxloopError
 
 if TYPE_CHECKING:
@@ -68,7 +68,9 @@ class View:
         per_evaluation_s = seen.wall_s / seen.evaluations if seen.evaluations else 0.0
         planned = self._evaluations or seen.evaluations
         table.add_row(self._title, ProgressBar(planned, min(seen.evaluations, planned), width=40))
-        table.add_row("stage", seen.stage)
+        last = seen.last
+        role = f": {last.role.replace('_', ' ')}" if last is not None and last.role is not None else ""
+        table.add_row("stage", f"{seen.stage}, evaluated anew{role}" if seen.stage == FINALISTS else seen.stage)
         of = f" of {self._evaluations}" if self._evaluations else ""
         table.add_row("evaluations", f"{seen.evaluations}{of}, {seen.episodes} episodes")
         table.add_row("now", line(plain(seen.last)))
@@ -85,13 +87,14 @@ class View:
         if time.monotonic() - self._asked_s > ASK_S:
             self._asked_s = time.monotonic()
             try:
-                workers = client.status().workers
+                status = client.status()
+                workers = status.workers
                 kinds = sorted({worker.describe.kind for worker in workers})
                 of_kind = {kind: [one for one in workers if one.describe.kind == kind] for kind in kinds}
                 self._workers = ", ".join(
                     f"{sum(bool(one.task_id) for one in ours)} of {len(ours)} {kind} busy"
                     for kind, ours in of_kind.items()
-                )
+                ) + (f", {status.hedged} tasks given out twice" if status.hedged else "")
             except LuxloopError:
                 self._workers = "the controller does not answer"
         return self._workers or "none yet: one that starts for the first time compiles for a minute"

@@ -32,7 +32,7 @@ def overview(folder: Path) -> dict[str, Any]:
         "reason": reason,
         "mend": f"luxloop campaign resume {folder.name}" if state in (STOPPED, KILLED) else "",
         "running": state == RUNNING,
-        "finished": journal.segments[-1].index is not None,
+        "finished": state == OVER,
         "steps": len(steps),
         "evaluations": len({tuple(step.design.as_vector()) for step in walk}),
         "failed": sum(step.failure is not None for step in steps),

@@ -34,9 +34,10 @@ def tell(launched: Launched, as_json: bool, page: Path | None = None) -> None:
 def as_text(document: dict[str, Any]) -> list[str]:
     """The lines a person reads at the end of a campaign."""
     counts = f"{document['evaluations']} designs in {document['steps']} steps, {document['episodes']} episodes"
+    later = "; what was under way is on record too" if document["interrupted"] else ""
     lines = [
         f"run          {document['run']}: {document['reason']}",
-        f"evaluated    {counts}, {document['wall_s']:.0f} s",
+        f"evaluated    {counts}, {document['wall_s']:.0f} s{later}",
     ]
     best, start, bare = (document[name] for name in ("best", "start", "without_dbr"))
     if best:

@@ -74,8 +74,7 @@ class Scheduler:
         self.workers: dict[str, WorkerRecord] = {}
         self.ready: dict[str, Queue] = {}  # by kind
         self.polls: dict[int, str] = {}  # held polls in the order in which they came -> worker
-        self.counts = {"done": 0, "failed": 0, "requeued": 0, "fenced": 0}
-        self.hedged = 0
+        self.counts = {"done": 0, "failed": 0, "requeued": 0, "fenced": 0, "hedged": 0}
         self._durations = Durations()
         self._stories: OrderedDict[str, list[str]] = OrderedDict()
         self._rules: dict[type[e.Event], Callable[[Any], list[e.Command]]] = {
@@ -289,7 +288,7 @@ class Scheduler:
         lease = LeaseRecord(task.task_id, worker.worker, task.attempt, at_s)
         if task.task_id in self.leases:
             self.hedges[task.task_id] = lease
-            self.hedged += 1
+            self.counts["hedged"] += 1
             self._tell(task, at_s, f"attempt {task.attempt} hedged by {worker.worker}")
         else:
             self.leases[task.task_id] = lease

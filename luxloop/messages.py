@@ -231,6 +231,7 @@ class Status(Words):
     failed: int
     requeued: int
     fenced: int
+    hedged: int = 0
     resident_mb: float
 
 

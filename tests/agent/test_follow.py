@@ -63,6 +63,7 @@ def test_a_run_is_running_then_killed_then_resumed_then_over(tmp_path: Path) -> 
     run = RunOnDisk(folder)
     run.finish("the controller was stopped", complete=False)
     assert state(folder) == ("interrupted", "the controller was stopped", mend)
+    assert not overview(folder)["finished"]
     run = RunOnDisk(folder)
     run.note({"reason": "budget: 12 evaluations"})
     run.finish()

@@ -99,3 +99,10 @@ def test_a_step_in_a_line() -> None:
     failed = step(failure=Failure(code="worker_lost", message="three attempts"))
     assert "three attempts" in line(plain(failed))
     assert line(plain(None)) == "-"
+
+
+def test_the_finals_are_told_from_the_walk() -> None:
+    """Once the walk is over, the table says that designs are evaluated anew, and what for."""
+    progress = Progress(stage="finalists", last=step(final=True, role="without_dbr"))
+    assert "finalists, evaluated anew: without dbr" in shown(View("trial", 10, None), progress)
+    assert "anew" not in shown(View("trial", 10, None), Progress(last=step()))

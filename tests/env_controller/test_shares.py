@@ -34,7 +34,7 @@ def test_the_slowest_task_is_hedged_when_nothing_else_waits() -> None:
         e.Finish(A, "done"),
     ]
     assert not story.deliver("w1", A, 1)[0].accepted  # type: ignore[attr-defined]
-    assert story.core.hedged == 1
+    assert story.core.counts["hedged"] == 1
 
 
 def test_the_slow_one_may_still_win() -> None:
