@@ -66,6 +66,13 @@ def resolve(stack: Stack, wavelength_nm: ArrayLike) -> StackRows:
 def _index(medium: Medium, wavelength: NDArray[np.float64]) -> NDArray[np.complex128]:
     if medium.material is not None:
         return material(medium.material).index(wavelength)
+    if medium.cauchy is not None:
+        a, b_um2 = medium.cauchy
+        n = a + b_um2 * (1e-3 * wavelength) ** -2
+        if np.any(n <= 0.0):
+            allowed = "n = a + b / lambda^2 above 0 at all wavelengths"
+            raise InputError("cauchy", medium.cauchy, allowed, f"here it comes down to {float(n.min()):g}")
+        return n.astype(complex)
     return np.full(wavelength.shape, complex(medium.n or 0.0, medium.k))
 
 

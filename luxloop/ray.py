@@ -85,10 +85,10 @@ class ShotRequest(Module):
 
 
 class AnchorRequest(Words):
-    """Where Monte Carlo is run, so that the twin is asked for differences only."""
+    """Where Monte Carlo is run, and whose chips' exits stand for those of chips near them."""
 
     shots: tuple[ShotRequest, ...] = Field((), max_length=64, description="One for each; none: the wanted ones.")
-    histories: int = Field(ge=1, le=10**9, description="At least so many for each module.")
+    histories: int = Field(ge=0, le=10**9, description="At least so many for each module; 0: none, exits alone.")
     seed: Seed = "1"
     stored_exits: bool = Field(False, description="Land stored exits instead of full histories.")
 

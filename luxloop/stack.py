@@ -27,23 +27,26 @@ Roughness = Annotated[float, Field(ge=0.0, le=MAX_ROUGHNESS_NM)]
 
 
 class Medium(Words):
-    """One optical medium: a named material with dispersion, or a fixed index n + ik."""
+    """One optical medium: a named material with dispersion, a fixed n + ik, or Cauchy's n = a + b / lambda^2."""
 
     material: str | None = Field(None, max_length=MAX_NAME)
     n: float | None = Field(None, gt=0.0, le=MAX_N)
     k: float = Field(0.0, ge=0.0, le=MAX_K)
+    cauchy: tuple[float, float] | None = Field(None, description="a, b in um^2.", exclude_if=lambda it: it is None)
 
     @model_validator(mode="after")
     def _one_way_to_say_it(self) -> Medium:
-        if (self.material is None) == (self.n is None):
-            raise InputError("n", self.n, "either a material name or an index n", "give exactly one of the two")
-        if self.material is not None and self.k:
-            raise InputError("k", self.k, "0 beside a material name", "the material's own table gives k")
+        if [self.material, self.n, self.cauchy].count(None) != 2:
+            raise InputError("n", self.n, "either a material name, an index n or cauchy", "give exactly one of them")
+        if self.n is None and self.k:
+            raise InputError("k", self.k, "0 without an index n", "the material's own table gives k")
         return self
 
     def __str__(self) -> str:
         if self.material is not None:
             return self.material
+        if self.cauchy is not None:
+            return f"{self.cauchy[0]:g}+{self.cauchy[1]:g}/um2"
         return f"{self.n:g}" + (f"+{self.k:g}i" if self.k else "")
 
 

@@ -4,6 +4,11 @@ The minimum of a noisy curve is too low and its maximum too high, so min / max i
 the noise once more (a parametric bootstrap with the covariance of the groups) to a centre, and taking off what that
 changes. About the noisy mean itself this corrects too little, because the mean is rougher than the truth; so the
 centre may be handed in denoised. benchmarks/uniformity_estimators.py has it beside the jackknives.
+
+Where weights took noise out of the modes of a map they took light with it: they flatten as noise roughens. While the
+relief is well above the noise that is nothing; where it is not, the two cancel to within what they are, and how well
+they do depends on a relief that nobody sees. There less of the bias is taken off, and its size enters the error
+(docs/decisions/0025).
 """
 
 from __future__ import annotations
@@ -25,6 +30,13 @@ Ratio = Callable[[Real], tuple[Real, Real]]
 ROTATIONS = 2
 """Random rotations of the groups' deviations; each gives 2 x groups draws (of either sign)."""
 
+HALF_HIDDEN, HALF_FLAT = 0.1, 0.5
+"""Bias, in reliefs, from which on weights hide as much as noise adds; and from which on the map may as well be flat,
+so that again all of the bias is taken off. Chosen, with `DOUBT`, in benchmarks/uniformity_estimators.py --stopped."""
+
+DOUBT = 2.25
+"""Standard error of a bias about a relief that weights may have hidden, in biases."""
+
 SEED = 20240229
 """Of the rotations: fixed, so that an estimate is a pure function of its replicas."""
 
@@ -36,7 +48,7 @@ class Estimate:
     Attributes
     ----------
     value : with the bias taken off.
-    standard_error : from the spread between the groups.
+    standard_error : from the spread between the groups, and from what weights may have hidden.
     bias : what was taken off (negative where noise made the plain number too low).
     groups : independent groups behind it.
     truncation : bound on the effect of the field's left-out modes.
@@ -81,18 +93,36 @@ def estimate(statistic: Callable[[Real], Real], replicas: ArrayLike, centre: Arr
     return ratio_estimate(lambda values: (statistic(values), np.broadcast_to(ones, len(values))), groups, draws)
 
 
-def ratio_estimate(ratio: Ratio, replicas: Real, centre: Real | None = None, truncation: float = 0.0) -> Estimate:
+def ratio_estimate(
+    ratio: Ratio, replicas: Real, centre: Real | None = None, truncation: float = 0.0, hidden: float = 0.0
+) -> Estimate:
     """The same for a numerator over a denominator of which each may be wrong by `truncation` through left-out modes.
+
+    Parameters
+    ----------
+    hidden : share of the noise that weights took out of the replicas, 0 to 1 (`field.Field.hidden`).
+
+    Raises
+    ------
+    InputError : as `estimate`.
 
     Notes
     -----
     The ratio is then wrong by at most truncation (1 + ratio) / denominator, to first order.
+
+    With the relief R = |ratio - that of a flat map|, the bias b that draws it away from flat, rho = b / R, and
+    s(x) = x^2 / (1 + x^2): the share 1 - hidden (s(rho / 0.1) - s(rho / 0.5)) of b is taken off, and
+    2.25 hidden s(rho / 0.1) b is an independent part of the standard error.
     """
-    return ratio_estimates({"": ratio}, replicas, centre, truncation)[""]
+    return ratio_estimates({"": ratio}, replicas, centre, truncation, hidden)[""]
 
 
 def ratio_estimates(
-    ratios: dict[str, Ratio], replicas: Real, centre: Real | None = None, truncation: float = 0.0
+    ratios: dict[str, Ratio],
+    replicas: Real,
+    centre: Real | None = None,
+    truncation: float = 0.0,
+    hidden: float = 0.0,
 ) -> dict[str, Estimate]:
     """The same for several ratios of the same replicas, which then share their draws."""
     if replicas.ndim < 1 or len(replicas) < 2:
@@ -106,10 +136,10 @@ def ratio_estimates(
     plain = np.concatenate([mean[None], mean - deviation / (G - 1), middle[None]]).reshape(-1, *shape)
     noise = _rotations(G) @ (deviation / np.sqrt(G - 1.0))
     drawn = np.concatenate([middle + noise, middle - noise]).reshape(-1, *shape)
-    return {name: _estimate(ratio, plain, drawn, truncation) for name, ratio in ratios.items()}
+    return {name: _estimate(ratio, plain, drawn, truncation, hidden) for name, ratio in ratios.items()}
 
 
-def _estimate(ratio: Ratio, plain: Real, drawn: Real, truncation: float) -> Estimate:
+def _estimate(ratio: Ratio, plain: Real, drawn: Real, truncation: float, hidden: float) -> Estimate:
     """Estimate from (the mean, the G means without one group, the centre) and the draws about the centre."""
     G = len(plain) - 2
     numerator, denominator = ratio(plain)
@@ -120,10 +150,23 @@ def _estimate(ratio: Ratio, plain: Real, drawn: Real, truncation: float) -> Esti
         raise InputError("statistic", "nan or infinite", "finite for every draw", "more histories")
     value, without_one, at_centre = at_plain[0], at_plain[1:-1], at_plain[-1]
     bias = float(at_drawn.mean() - at_centre)
+    share, doubt = 1.0, 0.0
+    if hidden > 0.0:
+        of_flat, over = ratio(np.ones_like(plain[:1]))
+        share, doubt = _of_hidden(bias, float(value - of_flat[0] / over[0]), hidden)
     jackknife_variance = (G - 1) * without_one.var()
-    error = float(np.sqrt((at_drawn.var() + jackknife_variance) / 2.0))
+    error = float(np.sqrt((at_drawn.var() + jackknife_variance) / 2.0 + doubt**2))
     bound = truncation * (1.0 + abs(value)) / abs(denominator[0])
-    return Estimate(float(value - bias), error, bias, G, float(bound))
+    return Estimate(float(value - share * bias), error, share * bias, G, float(bound))
+
+
+def _of_hidden(bias: float, relief: float, hidden: float) -> tuple[float, float]:
+    """Share of a bias to take off, and the standard error it leaves, where weights may have hidden some relief."""
+    away = bias * np.sign(relief) if relief else abs(bias)
+    if away <= 0.0:  # noise that draws towards flat is not mistaken for relief
+        return 1.0, 0.0
+    behind, flat = (away**2 / (away**2 + (at * relief) ** 2) for at in (HALF_HIDDEN, HALF_FLAT))
+    return float(1.0 - hidden * (behind - flat)), float(DOUBT * hidden * behind * away)
 
 
 @lru_cache(maxsize=8)

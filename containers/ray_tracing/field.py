@@ -145,6 +145,8 @@ class Field:
     histories : histories of all groups together (of one chip, in a module).
     truncation : bound on what the modes left out add anywhere, in the field's unit.
     per_m2 : irradiance in W/m2 where the field is 1 and each chip emits 1 W.
+    tallied_variance : (function along y, along x), variance of the mean of each coefficient as the bins gave it,
+        before any weights; None where that is not known.
     """
 
     coefficients: Real
@@ -153,6 +155,7 @@ class Field:
     histories: int
     truncation: float
     per_m2: float
+    tallied_variance: Real | None = None
 
     def grid(self, x_um: ArrayLike, y_um: ArrayLike) -> Real:
         """Values (group, y, x) at every crossing of the given x and y, exactly from the series."""
@@ -185,13 +188,22 @@ class Field:
         James-Stein rule, where power is the sum of the squared means of the ring and noise the sum of their
         variances. Less rough than the mean; not unbiased, so no result is read from it.
         """
-        mean, variance = self.coefficients.mean(axis=0), self.coefficients.var(axis=0, ddof=1) / self.groups
+        mean, variance = self.coefficients.mean(axis=0), _variance(self.coefficients)
         k_x, k_y = self.x.wavenumber_per_um, self.y.wavenumber_per_um
         ring = np.rint(np.sqrt(np.add.outer(k_y**2, k_x**2)) / min(k_x[1], k_y[1])).astype(int)
         power, noise = np.bincount(ring.ravel(), mean.ravel() ** 2), np.bincount(ring.ravel(), variance.ravel())
         kept = np.clip(1.0 - noise / np.where(power > 0.0, power, np.inf), 0.0, 1.0)
         kept[0] = 1.0
         return replace(self, coefficients=(mean * kept[ring])[None])
+
+    @property
+    def hidden(self) -> float:
+        """Share of the noise, beside the mean's, that weights took out since the tally: 0 where none did, up to 1."""
+        if self.tallied_variance is None:
+            return 0.0
+        tallied, kept = self.tallied_variance.copy(), _variance(self.coefficients)
+        tallied[0, 0] = kept[0, 0] = 0.0
+        return float(np.clip(1.0 - kept.sum() / tallied.sum(), 0.0, 1.0)) if tallied.any() else 0.0
 
     @property
     def groups(self) -> int:
@@ -270,7 +282,9 @@ class CellField(Field):
         kept = np.add.outer(k**2, k**2) <= (2.0 * np.pi * (M + 0.5) / spacing_um) ** 2
         coefficients = _coefficients(tally, axis, axis, kept * scale)
         bound = float(coefficients[:, 0, 0].mean()) * _left_out(M, 2.0 * np.pi * height_um / spacing_um)
-        return cls(coefficients, axis, axis, histories * len(tally), bound, per_m2=1e12 / spacing_um**2)
+        return cls(
+            coefficients, axis, axis, histories * len(tally), bound, 1e12 / spacing_um**2, _variance(coefficients)
+        )
 
 
 @dataclass(frozen=True)
@@ -313,7 +327,8 @@ class ModuleField(Field):
         coefficients = _coefficients(tally, x, y, weight)
         at = np.linspace(CUTOFF_X, CUTOFF_X + 30.0, 601)
         bound = float(np.sum(lambert_transform(at) * at) * 0.05 / (2.0 * np.pi)) / (1e-6 * height_um**2)
-        return cls(coefficients, x, y, round(histories_per_chip * len(tally)), bound, per_m2=1e6)
+        histories = round(histories_per_chip * len(tally))
+        return cls(coefficients, x, y, histories, bound, 1e6, _variance(coefficients))
 
 
 def _coefficients(values: Real, x: Axis, y: Axis, weight: Real) -> Real:
@@ -327,6 +342,11 @@ def _coefficients(values: Real, x: Axis, y: Axis, weight: Real) -> Real:
     along_x = (values.reshape(-1, columns) @ x.analysis(columns)).reshape(groups, rows, -1)
     found: Real = (np.ascontiguousarray(y.analysis(rows).T) @ along_x) * weight
     return found
+
+
+def _variance(coefficients: Real) -> Real:
+    """Variance of the mean over groups of each coefficient (y function, x function)."""
+    return np.asarray(coefficients.var(axis=0, ddof=1) / len(coefficients))
 
 
 def _quarter(tally: Real) -> Real:

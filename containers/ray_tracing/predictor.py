@@ -21,8 +21,9 @@ from containers.ray_tracing.monte_carlo import BLOCK, blocks_of
 from containers.ray_tracing.outcome import Arrays, Document, solved
 from containers.ray_tracing.simulation import layout_of, refuse_other_film, solver_of
 from containers.ray_tracing.tally import GROUPS
-from containers.ray_tracing.twin.columns import COLUMNS, Column
+from containers.ray_tracing.twin.columns import CAMERA_COLUMNS, COLUMNS, CameraColumn, Column
 from containers.ray_tracing.twin.module import open_array
+from containers.ray_tracing.twin.noise import MOST_FUNCTIONS
 from containers.ray_tracing.twin.prediction import (
     Anchor,
     Shot,
@@ -31,7 +32,7 @@ from containers.ray_tracing.twin.prediction import (
     named,
     refuse_several_sizes,
     stencil_of,
-    twin_images,
+    twin_views,
 )
 from containers.scene import Array, Cell, Scene
 from containers.thin_film.table import FilmTable
@@ -78,26 +79,31 @@ class Predictor:
         Notes
         -----
         All in irradiance, 1/mm^2 per flux of a chip, before a camera's gain: `images_per_mm2` (shot, row, column);
-        `jacobian_per_mm2` (column, shot, row, pixel column), by each shot's own parameter, in the unit that its name
-        ends with; with an anchor `noise_per_mm2` (group, shot, row, column): the covariance of two pixels is the sum
-        over groups of their products. Images are float64, for differences are taken of them; the others are float32,
-        which rounds 6e-8 of a value: the least noisy column has 1e-4, the noise knows itself to 13 %.
+        `jacobian_per_mm2` (column, shot, row, pixel column) in the order of `columns`, by each shot's own parameter,
+        of its scene or of its camera, in the unit that its name ends with; with an anchor `noise_per_mm2` (function,
+        shot, row, column): the covariance of two pixels is the sum over functions of their products. Images are
+        float64, for differences are taken of them; the others are float32, which rounds 6e-8 of a value: the least
+        noisy column of a scene has 1e-4, the noise knows itself to some percent.
         """
-        columns = _columns(request)
+        columns, cameras = _columns(request)
         _refuse_too_much(request)
         shots = _shots(request.shots, "shots", film_of)
         steps = _Steps(progress, len(shots) + sum(len(stencil_of(c, shot)) for c in columns for shot in shots))
         job = _Job(request, steps, self._source, self._threads)
         supply = Supply(job.exits)
         if request.anchor is None:
-            arrays: Arrays = {"images_per_mm2": twin_images(shots, supply, report=steps.image, **job.options)}
+            images, of_camera = twin_views(shots, supply, cameras, report=steps.image, **job.options)
+            arrays: Arrays = {"images_per_mm2": images}
         else:
             anchor = self._anchor(request.anchor, job, supply, film_of)
-            found = anchor.predict(shots, supply, report=steps.image)
+            found = anchor.predict(shots, supply, cameras, report=steps.image)
             arrays = {"images_per_mm2": found.images_per_mm2, "noise_per_mm2": found.noise_per_mm2.astype(np.float32)}
-        if columns:
-            derivatives = jacobian(shots, columns, supply, report=steps.image, **job.options)
-            arrays["jacobian_per_mm2"] = derivatives.astype(np.float32)
+            of_camera = found.of_camera_per_mm2
+        if request.columns:
+            of_scene = jacobian(shots, columns, supply, report=steps.image, **job.options)
+            names = [*(column.name for column in columns), *(column.name for column in cameras)]
+            order = [names.index(name) for name in request.columns]
+            arrays["jacobian_per_mm2"] = np.concatenate([of_scene, of_camera]).astype(np.float32)[order]
         return _document(request), arrays
 
     def _anchor(self, asked: AnchorRequest, job: _Job, supply: Supply, film_of: FilmOf) -> Anchor:
@@ -169,6 +175,8 @@ class _Job:
     ) -> Anchor:
         """An anchor at these shots; what several cameras see is run once."""
         modules = [sha256_of(shot.model_dump(mode="json", exclude={"camera"})) for shot in at]
+        if not asked.histories:
+            return Anchor(shots, None, supply, report=self.steps.image, **self.options)
         self.steps.total += RUN_STEPS * len(set(modules)) + 2 * len(shots)
         fields: dict[str, Field] = {}
         for module, wanted, shot in zip(modules, at, shots, strict=True):
@@ -196,19 +204,21 @@ def _size(shot: ShotRequest) -> str:
     return f"{shot.camera.rows} x {shot.camera.columns}"
 
 
-def _columns(request: PredictionRequest) -> list[Column]:
-    """The columns of a request. Raises InputError for one that is not known, or wanted twice."""
+def _columns(request: PredictionRequest) -> tuple[list[Column], list[CameraColumn]]:
+    """The columns of a request: of scenes, of the camera. InputError for one that is not known, or wanted twice."""
     refuse_twice("columns", request.columns)
+    known = [*COLUMNS, *CAMERA_COLUMNS]
     for number, name in enumerate(request.columns):
-        if name not in COLUMNS:
-            raise InputError(f"columns.{number}", name, ", ".join(COLUMNS), did_you_mean(name, COLUMNS))
-    return [COLUMNS[name] for name in request.columns]
+        if name not in known:
+            raise InputError(f"columns.{number}", name, ", ".join(known), did_you_mean(name, known))
+    wanted = set(request.columns)
+    return [c for c in COLUMNS.values() if c.name in wanted], [c for c in CAMERA_COLUMNS.values() if c.name in wanted]
 
 
 def _refuse_too_much(request: PredictionRequest) -> None:
     """InputError where the answer would be too large; before anything is built."""
     pixels = sum(shot.camera.rows * shot.camera.columns for shot in request.shots)
-    times = 1 + len(request.columns) + (GROUPS if request.anchor is not None else 0)
+    times = 1 + len(request.columns) + (max(GROUPS, MOST_FUNCTIONS) if request.anchor is not None else 0)
     if pixels * times > MOST_VALUES:
         mend = "fewer pixels or columns at once: ask in parts"
         raise InputError("shots", f"{pixels} pixels x {times} images of each", f"a product up to {MOST_VALUES}", mend)
@@ -255,7 +265,7 @@ def _document(request: PredictionRequest) -> Document:
         if anchor is None
         else {
             "groups": GROUPS,
-            "histories": GROUPS * blocks_of(anchor.histories),
+            "histories": GROUPS * blocks_of(anchor.histories) if anchor.histories else 0,
             "seed": anchor.seed,
             "stored_exits": anchor.stored_exits,
         }

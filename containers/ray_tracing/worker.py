@@ -11,7 +11,7 @@ from containers.known_effects import refuse_unknown
 from containers.ray_tracing.exit_source import ExitSource
 from containers.ray_tracing.predictor import Predictor
 from containers.ray_tracing.simulation import simulate
-from containers.ray_tracing.twin.columns import COLUMNS
+from containers.ray_tracing.twin.columns import CAMERA_COLUMNS, COLUMNS
 from containers.stack import dbr_of
 from containers.thin_film.packing import unpack
 from containers.thin_film.table import FilmTable, film_table
@@ -52,7 +52,7 @@ class RayComputation:
         return {
             "tasks": ["simulation", "prediction"],
             "methods": ["monte_carlo", "twin"],
-            "columns": list(COLUMNS),
+            "columns": [*COLUMNS, *CAMERA_COLUMNS],
             "effects": [],
         }
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -244,3 +246,13 @@ def test_a_module_is_known_inside_its_box_and_with_narrow_enough_bins() -> None:
     ):
         with pytest.raises(InputError):
             wrong()
+
+
+def test_what_weights_took_out_of_the_noise_is_known() -> None:
+    """A tally's own modes hide nothing; half the spread hides 3/4 of its noise; a field without a tally nothing."""
+    field = CellField.from_bins(np.random.default_rng(3).poisson(9.0, (8, 32, 32)), 9 * 1024, S, HEIGHT)
+    assert field.hidden == 0.0
+    mean = field.coefficients.mean(axis=0)
+    assert replace(field, coefficients=mean + (field.coefficients - mean) * 0.5).hidden == pytest.approx(0.75)
+    assert replace(field, tallied_variance=None).hidden == 0.0
+    assert CellField.from_bins(np.ones((8, 32, 32)), 1024, S, HEIGHT).hidden == 0.0

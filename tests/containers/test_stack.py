@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from pydantic import ValidationError
 
 from containers.materials import material
 from containers.stack import ALN, GAN, dbr_layers, dbr_of, dbr_stack, resolve
@@ -75,6 +76,21 @@ def test_rows_hold_media_layers_and_faces_from_the_bulk_outwards() -> None:
     np.testing.assert_array_equal(rows.roughness_nm, [0.3, 0.7, 0.0])
     np.testing.assert_array_equal(rows.coherent, [True, False])
     assert not rows.lossless
+
+
+def test_a_cauchy_medium_has_its_index_and_one_name() -> None:
+    """n = a + b / lambda^2 in um, no k; it is the only thing said of the medium, and an index below 0 is refused."""
+    glass = Medium(cauchy=(1.5, 0.004))
+    stack = Stack(inside=glass, outside=Medium(n=1.0))
+    np.testing.assert_allclose(resolve(stack, [400.0, 500.0]).index[:, 0], [1.525, 1.516], rtol=1e-15)
+    assert str(stack) == "1.5+0.004/um2 | 1"
+    assert Stack.model_validate_json(stack.model_dump_json()) == stack
+    assert "cauchy" not in Medium(n=1.0).model_dump()  # so that hashes of other stacks stay what they were
+    for wrong in ({"n": 1.5}, {"material": "SiO2"}, {"k": 0.1}):
+        with pytest.raises(ValidationError, match=r"exactly one|without an index"):
+            Medium(cauchy=(1.5, 0.004), **wrong)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="cauchy"):
+        resolve(Stack(inside=Medium(cauchy=(1.5, -0.3)), outside=glass), [400.0])
 
 
 def test_a_stack_without_loss_says_so() -> None:

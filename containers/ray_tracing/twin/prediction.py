@@ -22,9 +22,10 @@ from containers.ray_tracing.camera import irradiance_image, margin_px, pixels, r
 from containers.ray_tracing.exits import Exits, chip_key
 from containers.ray_tracing.field import Field
 from containers.ray_tracing.light_map import LightMap
-from containers.ray_tracing.twin.columns import Column
+from containers.ray_tracing.twin.columns import CameraColumn, Column
 from containers.ray_tracing.twin.direct import in_parallel
 from containers.ray_tracing.twin.module import BINS_PER_HEIGHT, PAD, ModuleTwin
+from containers.ray_tracing.twin.noise import NoiseBasis, noise_columns
 from containers.ray_tracing.twin.reweighting import OtherChipError, reweighted
 from containers.scene import Array, Scene
 from luxloop.camera import Camera
@@ -117,7 +118,12 @@ class Prediction:
     images_per_mm2: Real
     """(shot, row, column)"""
     noise_per_mm2: Real
-    """(group, shot, row, column): the covariance of two pixels is the sum over groups of their products."""
+    """(function, shot, row, column): the covariance of two pixels is the sum over functions of their products; 0
+    functions where no Monte Carlo was run."""
+
+    of_camera_per_mm2: Real
+    """(camera column, shot, row, column): how the images change with the camera; the map of the anchor's Monte Carlo
+    less the twin's stays in its pixels, so of that part of the images this is neglected."""
 
     @property
     def error_per_mm2(self) -> Real:
@@ -130,38 +136,55 @@ class Anchor:
 
     Parameters
     ----------
-    fields : of the modules, by Monte Carlo, one for each shot, with equally many groups. Groups of one number are
-        taken as related (one run seen by several cameras); of different runs their products are noise about 0.
+    fields : of the modules, by Monte Carlo, one for each shot, with equally many groups; the same object where one
+        run is seen by several cameras. None: no Monte Carlo, only chips whose exits stand for those of others.
     """
 
     def __init__(
         self,
         shots: Sequence[Shot],
-        fields: Sequence[Field],
+        fields: Sequence[Field] | None,
         supply: Supply,
         *,
         report: Report = nothing,
         **options: int,
     ) -> None:
+        self.shots, self._options = tuple(shots), options
+        size = refuse_several_sizes(shots)
+        self._correction, self._noise = np.zeros((len(shots), *size)), np.zeros((0, len(shots), *size))
+        if fields is None:
+            return
         if len(shots) != len(fields) or len({field.groups for field in fields}) != 1:
             raise InputError("fields", len(fields), f"{len(shots)}, one for each shot, with equally many groups")
-        refuse_several_sizes(shots)
         seen = []
         for shot, field in zip(shots, fields, strict=True):
             report()
             seen.append(_replicas(field, shot))
         replicas = np.stack(seen, axis=1)
-        self.shots, self._options = tuple(shots), options
         mean, groups = replicas.mean(axis=0), len(replicas)
-        self._noise = (replicas - mean) / np.sqrt(groups * (groups - 1.0))
+        bases = bases_of(shots, fields, mean)
+        first = [next(i for i, one in enumerate(fields) if one is field) for field in fields]
+        deviations = (replicas - mean) / np.sqrt(groups * (groups - 1.0))
+        columns = [noise_columns(deviations[:, i], bases[n], bases[i]) for n, i in enumerate(first)]
+        self._noise = np.zeros((max(map(len, columns)), *self._correction.shape))
+        for number, one in enumerate(columns):
+            self._noise[: len(one), number] = one
         self._correction = mean - twin_images(shots, supply, report=report, **options)
 
-    def predict(self, shots: Sequence[Shot], supply: Supply, *, report: Report = nothing) -> Prediction:
+    def predict(
+        self,
+        shots: Sequence[Shot],
+        supply: Supply,
+        cameras: Sequence[CameraColumn] = (),
+        *,
+        report: Report = nothing,
+    ) -> Prediction:
         """The images of the same shots at other parameters, by the exits of the anchor's chips where they can be."""
         if len(shots) != len(self.shots):
             raise InputError("shots", len(shots), f"{len(self.shots)}, those of the anchor")
         near = [replace(shot, base=at.scene) for shot, at in zip(shots, self.shots, strict=True)]
-        return Prediction(twin_images(near, supply, report=report, **self._options) + self._correction, self._noise)
+        images, of_camera = twin_views(near, supply, cameras, report=report, **self._options)
+        return Prediction(images + self._correction, self._noise, of_camera)
 
     @property
     def nbytes(self) -> int:
@@ -169,15 +192,37 @@ class Anchor:
         return int(self._noise.nbytes + self._correction.nbytes)
 
 
-def twin_images(
+def bases_of(shots: Sequence[Shot], fields: Sequence[Field], light: Real) -> list[NoiseBasis]:
+    """The smooth functions of each shot; alike for all shots of one field. `light` (shot, row, column)."""
+    places = []
+    for shot in shots:
+        row, column = pixels(shot.camera.rows), pixels(shot.camera.columns)
+        places.append(receiver_points(shot.camera, row, column)[:2])
+    reach = [max(float(np.abs(x).max()), float(np.abs(y).max())) for x, y in places]
+    return [
+        NoiseBasis.at(
+            x, y, light[number], max(r for r, other in zip(reach, fields, strict=True) if other is field),
+            shot.scene.height_um, symmetric=shot.scene.symmetric,
+        )
+        for number, (shot, field, (x, y)) in enumerate(zip(shots, fields, places, strict=True))
+    ]  # fmt: skip
+
+
+def twin_images(shots: Sequence[Shot], supply: Supply, *, report: Report = nothing, **options: int) -> Real:
+    """The twin's images (shot, row, column), several at once; parameters as those of `twin_views`."""
+    return twin_views(shots, supply, (), report=report, **options)[0]
+
+
+def twin_views(
     shots: Sequence[Shot],
     supply: Supply,
+    cameras: Sequence[CameraColumn] = (),
     *,
     threads: int | None = None,
     report: Report = nothing,
     **options: int,
-) -> Real:
-    """The twin's images (shot, row, column), several at once.
+) -> tuple[Real, Real]:
+    """The twin's images (shot, row, column), and their derivatives (camera column, shot, row, column) from one map.
 
     Parameters
     ----------
@@ -187,16 +232,21 @@ def twin_images(
     rows, columns = refuse_several_sizes(shots)
     exits = [supply.of(shot.scene, shot.base) for shot in shots]
     images = np.zeros((len(shots), rows, columns))
+    of_camera = np.zeros((len(cameras), *images.shape))
 
     def see(number: int) -> None:
         report()
         shot = shots[number]
         with named(shot.name):
             twin = ModuleTwin(shot.scene, exits[number], threads=1, **options)
-            images[number] = image_of(twin.mean, shot)
+            light = light_map(twin.mean, shot)
+            images[number] = irradiance_image(light, shot.camera)
+            for derivative, column in zip(of_camera, cameras, strict=True):
+                up, down = (irradiance_image(light, column.move(shot.camera, s * column.step)) for s in (1.0, -1.0))
+                derivative[number] = (up - down) / (2.0 * column.step)
 
     in_parallel(see, range(len(shots)), threads)
-    return images
+    return images, of_camera
 
 
 def jacobian(
