@@ -16,9 +16,9 @@ from typing import Any
 from numpy.typing import NDArray
 
 from viewer import campaign_figures as figures
-from viewer import campaign_html as html
 from viewer import campaign_tables as tables
-from viewer.campaign_html import in_words, lux, paragraph, percent, points
+from viewer import html
+from viewer.html import in_words, lux, paragraph, percent, points
 
 Document = Mapping[str, Any]
 Arrays = Mapping[str, NDArray[Any]]

@@ -5,9 +5,7 @@ The same document gives the same bytes: no date, no random names. What has thous
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
-from io import BytesIO
 from typing import Any
 
 import numpy as np
@@ -16,10 +14,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from viewer.look import BLUE, GREEN, GREY, INK, LOOK, ORANGE, PIXELS_FROM, SHADE, svg
+
 Document = Mapping[str, Any]
 Arrays = Mapping[str, NDArray[Any]]
 
-BLUE, ORANGE, GREEN, GREY = "#0b62a8", "#d9730d", "#2f8f5b", "#8a94a3"
 ENDS = {
     "receiver": "receiver",
     "chip": "chips",
@@ -35,22 +34,6 @@ EVENTS = {
     "after_receiver": "after the receiver (4)",
 }
 """The paper's optical events 1 to 4."""
-LOOK: Any = {  # matplotlib's own type lists every key there is
-    "svg.hashsalt": "luxloop",
-    "font.size": 9.0,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.titlesize": 9.0,
-    "axes.titlelocation": "left",
-    "legend.edgecolor": "none",
-    "legend.framealpha": 0.85,
-    "legend.fontsize": 8.0,
-}
-PIXELS_FROM = 300  # points; more are drawn as pixels
-DPI = 110
-COORDINATES = re.compile(rb' (?:d|x|y)="[^"]*"')
-DECIMALS = re.compile(rb"(\.\d\d)\d+")
-"""Coordinates are kept to 0.01 points: half the size, and nobody sees it."""
 
 
 def learning_curve(arrays: Arrays) -> bytes:
@@ -62,7 +45,7 @@ def learning_curve(arrays: Arrays) -> bytes:
         _steps(rows[0], arrays)
         if episodes:
             _episodes(rows[1], arrays)
-        return _svg(figure)
+        return svg(figure)
 
 
 def runs_compared(document: Document, arrays: Arrays) -> bytes:
@@ -80,7 +63,7 @@ def runs_compared(document: Document, arrays: Arrays) -> bytes:
         axes.set_ylabel("best uniformity so far (%)")
         axes.grid(alpha=0.25)
         axes.legend(loc="lower right")
-        return _svg(figure)
+        return svg(figure)
 
 
 def best_design(document: Document, arrays: Arrays, name: str = "best") -> bytes:
@@ -93,7 +76,7 @@ def best_design(document: Document, arrays: Arrays, name: str = "best") -> bytes
         _cut(right, document["shown"][name], arrays, name, BLUE, "")
         _window(right, document["shown"][name])
         right.legend(loc="lower center", ncols=2)
-        return _svg(figure)
+        return svg(figure)
 
 
 def dbr_compared(document: Document, arrays: Arrays) -> bytes:
@@ -118,7 +101,7 @@ def dbr_compared(document: Document, arrays: Arrays) -> bytes:
         _window(cuts, document["shown"]["with"])
         cuts.set_title("(c) on the line of Eq. 8")
         cuts.legend(loc="best", ncols=3)
-        return _svg(figure)
+        return svg(figure)
 
 
 def losses(document: Document, names: Mapping[str, str]) -> bytes:
@@ -145,7 +128,7 @@ def losses(document: Document, names: Mapping[str, str]) -> bytes:
         axes[0].set_title("where it ended")
         axes[1].set_title("arrivals at the receiver, each counted")
         axes[0].legend(loc="lower right")
-        return _svg(figure)
+        return svg(figure)
 
 
 def pareto(document: Document, arrays: Arrays) -> bytes:
@@ -164,7 +147,7 @@ def pareto(document: Document, arrays: Arrays) -> bytes:
         axes.step(x[front], y[front], where="pre", color=GREY, linewidth=1.2, label="front of the walk")
         _marked(axes, document["finalists"], "o", BLUE, "finalists, ± 1 error")
         for row, mark, colour, label in (
-            (document["start"], "s", "#1d2430", "start"),
+            (document["start"], "s", INK, "start"),
             (document["dbr"]["without"], "^", ORANGE, "without DBR"),
         ):
             if row is not None:
@@ -174,7 +157,7 @@ def pareto(document: Document, arrays: Arrays) -> bytes:
         axes.set_ylabel("uniformity (%)")
         axes.grid(alpha=0.25)
         axes.legend(loc="best")
-        return _svg(figure)
+        return svg(figure)
 
 
 def geometry(document: Document, arrays: Arrays) -> bytes:
@@ -193,7 +176,7 @@ def geometry(document: Document, arrays: Arrays) -> bytes:
         axes.set_xlabel("geometry factor f = 4T/W")
         axes.set_ylabel("uniformity (%)")
         axes.grid(alpha=0.25)
-        return _svg(figure)
+        return svg(figure)
 
 
 def _steps(axes: Axes, arrays: Arrays) -> None:
@@ -265,7 +248,7 @@ def _cut(axes: Axes, shown: Document, arrays: Arrays, name: str, colour: str, la
 
 
 def _window(axes: Axes, shown: Document) -> None:
-    axes.axvspan(*shown["cut"]["window_um"], color="0.92", zorder=0, label="window of Eq. 8")
+    axes.axvspan(*shown["cut"]["window_um"], color=SHADE, zorder=0, label="window of Eq. 8")
 
 
 def _marked(axes: Axes, rows: list[Any], mark: str, colour: str, label: str) -> None:
@@ -286,9 +269,3 @@ def _at_changes(x: NDArray[Any], best: NDArray[Any], error: NDArray[Any]) -> tup
     changes = np.flatnonzero(np.diff(best, prepend=np.nan) != 0.0)
     kept = np.append(changes, len(best) - 1) if len(best) else changes
     return x[kept], best[kept], error[kept]
-
-
-def _svg(figure: Figure) -> bytes:
-    file = BytesIO()
-    figure.savefig(file, format="svg", dpi=DPI, metadata={"Date": None, "Creator": None})
-    return COORDINATES.sub(lambda found: DECIMALS.sub(rb"\1", found[0]), file.getvalue())

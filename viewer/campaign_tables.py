@@ -7,9 +7,9 @@ import shlex
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from viewer import campaign_html as html
+from viewer import html
 from viewer.campaign_figures import ENDS, EVENTS
-from viewer.campaign_html import NOTHING, duration, in_words, lux, paragraph, percent, points
+from viewer.html import NOTHING, duration, in_words, lux, paragraph, percent, points
 
 Document = Mapping[str, Any]
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -31,6 +32,7 @@ from containers.ray_tracing.twin.prediction import (
     jacobian,
     named,
     refuse_several_sizes,
+    remembered,
     stencil_of,
     twin_views,
 )
@@ -62,6 +64,7 @@ class Predictor:
     def __init__(self, source: ExitSource, threads: int | None = None) -> None:
         self._source, self._threads = source, threads or usable_cores()
         self._anchors: OrderedDict[str, Anchor] = OrderedDict()
+        self._fields: OrderedDict[str, Field] = OrderedDict()  # by Monte Carlo: one run serves any camera
 
     def answer(self, request: PredictionRequest, film_of: FilmOf, progress: Progress) -> tuple[Document, Arrays]:
         """The result document of a request and its arrays.
@@ -96,6 +99,7 @@ class Predictor:
             arrays: Arrays = {"images_per_mm2": images}
         else:
             anchor = self._anchor(request.anchor, job, supply, film_of)
+            shots = anchor.near(shots)
             found = anchor.predict(shots, supply, cameras, report=steps.image)
             arrays = {"images_per_mm2": found.images_per_mm2, "noise_per_mm2": found.noise_per_mm2.astype(np.float32)}
             of_camera = found.of_camera_per_mm2
@@ -117,7 +121,7 @@ class Predictor:
         key = sha256_of([decisive, *([] if asked.shots else [shot.model_dump(mode="json") for shot in wanted])])
         if key not in self._anchors:
             shots = _shots(at, "anchor.shots" if asked.shots else "shots", film_of)
-            self._anchors[key] = job.anchor(asked, at, shots, supply)
+            self._anchors[key] = job.anchor(asked, at, shots, supply, self._fields)
         self._anchors.move_to_end(key)
         while len(self._anchors) > 1 and sum(one.nbytes for one in self._anchors.values()) > HELD_BYTES:
             self._anchors.popitem(last=False)
@@ -171,19 +175,25 @@ class _Job:
         )
 
     def anchor(
-        self, asked: AnchorRequest, at: Sequence[ShotRequest], shots: Sequence[Shot], supply: Supply
+        self,
+        asked: AnchorRequest,
+        at: Sequence[ShotRequest],
+        shots: Sequence[Shot],
+        supply: Supply,
+        known: OrderedDict[str, Field],
     ) -> Anchor:
-        """An anchor at these shots; what several cameras see is run once."""
+        """An anchor at these shots; what several cameras see is run once, what is `known` is not run again."""
         modules = [sha256_of(shot.model_dump(mode="json", exclude={"camera"})) for shot in at]
         if not asked.histories:
             return Anchor(shots, None, supply, report=self.steps.image, **self.options)
-        self.steps.total += RUN_STEPS * len(set(modules)) + 2 * len(shots)
-        fields: dict[str, Field] = {}
-        for module, wanted, shot in zip(modules, at, shots, strict=True):
-            if module not in fields:
-                with named(shot.name):
-                    fields[module] = self._field(asked, wanted, shot.scene)
-        return Anchor(shots, [fields[module] for module in modules], supply, report=self.steps.image, **self.options)
+        run = asked.model_dump(mode="json", exclude={"shots"}) | {"exit_seed": self.request.exit_seed}
+        keys = [sha256_of({"module": module, "run": run}) for module in modules]
+        self.steps.total += RUN_STEPS * len(set(keys) - set(known)) + 2 * len(shots)
+        fields = []
+        for key, wanted, shot in zip(keys, at, shots, strict=True):
+            with named(shot.name):
+                fields.append(remembered(known, key, partial(self._field, asked, wanted, shot.scene)))
+        return Anchor(shots, fields, supply, report=self.steps.image, **self.options)
 
     def _field(self, asked: AnchorRequest, wanted: ShotRequest, scene: Scene) -> Field:
         """A module's field by Monte Carlo."""

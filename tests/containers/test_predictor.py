@@ -265,8 +265,8 @@ def test_a_prediction_can_be_stopped_anywhere_and_asked_again() -> None:
     expected = dict(worker().compute(inputs, patient)[1])
     assert max(patient.heard) <= 1.0
     assert len(patient.heard) > 20
-    of = worker()
     for patience in np.linspace(2, len(patient.heard) - 2, 6).astype(int).tolist():
+        of = worker()  # one that has run no Monte Carlo yet
         with pytest.raises(Stopped):
             of.compute(inputs, Impatient(patience))
     same(ask(inputs, of), expected)

@@ -21,6 +21,9 @@ PURE = {
     # of light and matter
     "n": "refractive index",
     "k": "extinction coefficient, the imaginary part of the index",
+    "cauchy": "index, and its slope against 1 / um^2",
+    "fixed": "refractive index and extinction coefficient",
+    "free": "limits by name; the names carry the units",
     "n_gan": "refractive index",
     "n_aln": "refractive index",
     "reflectance": "ratio of powers",

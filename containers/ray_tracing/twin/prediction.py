@@ -180,11 +180,14 @@ class Anchor:
         report: Report = nothing,
     ) -> Prediction:
         """The images of the same shots at other parameters, by the exits of the anchor's chips where they can be."""
+        images, of_camera = twin_views(self.near(shots), supply, cameras, report=report, **self._options)
+        return Prediction(images + self._correction, self._noise, of_camera)
+
+    def near(self, shots: Sequence[Shot]) -> list[Shot]:
+        """The shots with the exits of the anchor's chips, where these can stand for theirs."""
         if len(shots) != len(self.shots):
             raise InputError("shots", len(shots), f"{len(self.shots)}, those of the anchor")
-        near = [replace(shot, base=at.scene) for shot, at in zip(shots, self.shots, strict=True)]
-        images, of_camera = twin_views(near, supply, cameras, report=report, **self._options)
-        return Prediction(images + self._correction, self._noise, of_camera)
+        return [replace(shot, base=at.scene) for shot, at in zip(shots, self.shots, strict=True)]
 
     @property
     def nbytes(self) -> int:
@@ -262,12 +265,12 @@ def jacobian(
     Notes
     -----
     Central differences, at an end of a range one-sided ones of the same order, all with the same random numbers.
-    A moved chip has the exits of its shot's own chip, reweighted, where that can be.
+    A moved chip has the exits of its shot's own chip, or of its base, reweighted, where that can be.
     """
     found = np.zeros((len(columns), len(shots), *refuse_several_sizes(shots)))
     for derivative, column in zip(found, columns, strict=True):
         steps = [
-            (number, weight, replace(shot, scene=column.move(shot.scene, amount), base=shot.scene))
+            (number, weight, replace(shot, scene=column.move(shot.scene, amount), base=shot.base or shot.scene))
             for number, shot in enumerate(shots)
             for amount, weight in stencil_of(column, shot)
         ]

@@ -1,14 +1,15 @@
-"""The words of a page: escaped text, numbers with their errors, tables, figures with captions; nothing is loaded."""
+"""The words of every page: escaped text, numbers with errors, tables, figures with captions; nothing is loaded."""
 
 from __future__ import annotations
 
-from base64 import b64encode
 from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any
 
 Row = Sequence[str]
 NOTHING = "-"
+IN_ADDRESS = str.maketrans({"%": "%25", "#": "%23", '"': "%22", "&": "%26", "\n": " "})
+"""What in a picture would end or change the address that holds it; base64 would make it a third larger."""
 
 STYLE = """
 :root { color-scheme: light dark; --ink: #1d2430; --soft: #5a6474; --line: #d8dde5; --paper: #ffffff; --tint: #f4f6f9; --mark: #0b62a8; }
@@ -30,13 +31,17 @@ a { color: var(--mark); text-decoration: none; } a:hover { text-decoration: unde
 .big b { display: block; font-size: 1.2rem; font-weight: 600; white-space: nowrap; font-variant-numeric: tabular-nums; }
 .big span { color: var(--soft); font-size: .84rem; }
 .note { background: var(--tint); border-left: .25rem solid var(--mark); padding: .5rem .9rem; border-radius: .2rem; max-width: none; }
-figure { margin: 1rem 0; } figure img { display: block; width: 100%; height: auto; background: #fff; border-radius: .4rem; }
+figure { margin: 1rem 0; } figure img { display: block; width: 100%; height: auto; }
+.row { display: grid; gap: .5rem; grid-template-columns: repeat(auto-fill, minmax(min(100%, var(--least)), 1fr)); }
+.two { --least: 24rem; } .three { --least: 17rem; }
+.lead { font-size: 1.15rem; }
+summary { cursor: pointer; margin: .8rem 0; }
 figcaption { margin-top: .4rem; max-width: 52rem; }
 .wide { overflow-x: auto; }
 table { border-collapse: collapse; font-size: .88rem; margin: .6rem 0; font-variant-numeric: tabular-nums; }
 caption { text-align: left; caption-side: bottom; padding-top: .4rem; }
 th, td { padding: .28rem .7rem .28rem 0; border-bottom: 1px solid var(--line); text-align: left; vertical-align: top; }
-th { font-weight: 600; } td:first-child { white-space: nowrap; } td.n, th.n { text-align: right; white-space: nowrap; }
+th { font-weight: 600; } td:first-child { white-space: nowrap; } td:not(.n):not(:first-child) { min-width: 8rem; } td.n, th.n { text-align: right; white-space: nowrap; }
 code { font: .84em ui-monospace, "SF Mono", Menlo, Consolas, monospace; overflow-wrap: anywhere; }
 pre { background: var(--tint); padding: .7rem .9rem; border-radius: .4rem; overflow-x: auto; font-size: .84rem; white-space: pre-wrap; overflow-wrap: anywhere; }
 @media print { body { max-width: none; } nav { display: none; } }
@@ -71,6 +76,11 @@ def contents(sections: Mapping[str, str]) -> str:
     return f"<nav>{' '.join(links)}</nav>"
 
 
+def escaped(text: str) -> str:
+    """Text of others, which cannot be taken for markup."""
+    return escape(text)
+
+
 def paragraph(text: str, kind: str = "") -> str:
     """A paragraph of plain text."""
     return f'<p class="{kind}">{escape(text)}</p>' if kind else f"<p>{escape(text)}</p>"
@@ -83,27 +93,35 @@ def code(text: str) -> str:
 
 def figure(svg: bytes, alt: str, caption: str, command: str = "") -> str:
     """A picture inside the page; its caption says what the error is and where it comes from."""
-    source = f"data:image/svg+xml;base64,{b64encode(svg).decode()}"
-    made = f" <br><code>{escape(command)}</code>" if command else ""
-    return (
-        f'<figure><img src="{source}" alt="{escape(alt)}">\n<figcaption>{escape(caption)}{made}</figcaption></figure>'
-    )
+    return f"<figure>{_picture(svg, alt)}\n{_caption(caption, command)}</figure>"
 
 
-def table(heads: Row, rows: Sequence[Row], caption: str = "", words: int = 1) -> str:
-    """A table; columns from the `words`-th on hold numbers."""
+def row(pictures: Mapping[str, bytes], beside: str, caption: str, command: str = "") -> str:
+    """Pictures {what they show: SVG}, `beside` one another by "two" or "three" where there is room; one caption."""
+    shown = "\n".join(_picture(svg, alt) for alt, svg in pictures.items())
+    return f'<figure><div class="row {beside}">{shown}</div>\n{_caption(caption, command)}</figure>'
+
+
+def folded(title: str, *parts: str) -> str:
+    """What most readers pass over: its title, the rest at a click."""
+    inside = "\n".join(filter(None, parts))
+    return f"<details><summary>{escape(title)}</summary>\n{inside}\n</details>"
+
+
+def table(heads: Row, rows: Sequence[Row], caption: str = "", words: int = 1, ending: int = 0) -> str:
+    """A table; its first `words` and last `ending` columns hold words, the others numbers."""
 
     def line(cells: Row, tag: str) -> str:
-        marked = (' class="n"' if i >= words else "" for i in range(len(cells)))
+        marked = (' class="n"' if words <= i < len(cells) - ending else "" for i in range(len(cells)))
         return (
             "<tr>"
             + "".join(f"<{tag}{c}>{escape(cell)}</{tag}>" for cell, c in zip(cells, marked, strict=True))
             + "</tr>"
         )
 
-    under = f"<caption>{escape(caption)}</caption>" if caption else ""
     body = "\n".join(line(row, "td") for row in rows)
-    return f'<div class="wide"><table>{under}<thead>{line(heads, "th")}</thead>\n<tbody>{body}</tbody></table></div>'
+    under = f'\n<p class="soft">{escape(caption)}</p>' if caption else ""
+    return f'<div class="wide"><table><thead>{line(heads, "th")}</thead>\n<tbody>{body}</tbody></table></div>{under}'
 
 
 def facts(rows: Sequence[tuple[str, str]], caption: str = "") -> str:
@@ -153,3 +171,13 @@ def in_words(design: Mapping[str, Any]) -> str:
     names = ("distance_um", "width_um", "spacing_um", "thickness_um")
     lengths = ", ".join(f"{letter} {design[name]:g}" for letter, name in zip("DWST", names, strict=True))
     return f"{lengths} µm, {design['dbr_pairs']:g} pairs"
+
+
+def _picture(svg: bytes, alt: str) -> str:
+    inside = svg.decode().translate(IN_ADDRESS)
+    return f'<img src="data:image/svg+xml,{inside}" alt="{escape(alt)}">'
+
+
+def _caption(text: str, command: str) -> str:
+    made = f" <br><code>{escape(command)}</code>" if command else ""
+    return f"<figcaption>{escape(text)}{made}</figcaption>"

@@ -1,0 +1,240 @@
+"""`luxloop dataset check|import|show`, called as the front door calls them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import tifffile
+import typer
+from typer.testing import CliRunner, Result
+
+from luxloop.errors import InputError
+from tests.validation.datasets import PEAK_DN, edit, light, photographed, write_dataset
+from validation import dataset_command
+from validation.dataset.folder import read_dataset
+from validation.measured import measured_images
+
+CAMERA = ("--pixel-um", "24", "--bit-depth", "12", "--gain-dn-per-e", "0.05", "--read-noise-e", "6")
+DESIGN = ("--distance-um", "180", "--width-um", "40", "--thickness-um", "20", "--dbr-pairs", "5.5")
+LMK = b"Typ=Pic98::TPlane<float>\r\nLines=%d\r\nColumns=%d\r\nFirstLine=1\r\nFirstColumn=1\r\n\0"
+
+
+def run(*argv: str | Path) -> Result:
+    """The outcome of `luxloop dataset ARGV`."""
+    app = typer.Typer(pretty_exceptions_enable=False)
+    for command in (dataset_command.check, dataset_command.show):
+        app.command()(command)
+    app.command("import")(dataset_command.import_)
+    return CliRunner().invoke(app, [str(one) for one in argv])
+
+
+def told(*argv: str | Path, code: int = 0) -> dict[str, Any]:
+    """The one JSON object on stdout."""
+    result = run(*argv, "--json")
+    assert result.exit_code == code, (result.output, result.exception)
+    return dict(json.loads(result.stdout))
+
+
+def refusal(*argv: str | Path) -> InputError:
+    """The bad input that is told of."""
+    result = run(*argv)
+    assert isinstance(result.exception, InputError), result.output
+    return result.exception
+
+
+@pytest.fixture
+def raw(tmp_path: Path) -> Path:
+    """A folder as a camera leaves it: row 0 at the top, so the array's lowest y is its last row."""
+    folder = tmp_path / "raw"
+    (folder / "more").mkdir(parents=True)
+    tifffile.imwrite(folder / "single.tif", photographed(PEAK_DN * light(), 1)[::-1])
+    tifffile.imwrite(folder / "more" / "array 1.tif", lopsided()[::-1])
+    return folder
+
+
+def lopsided() -> np.ndarray:
+    """An array's image, row 0 at the lowest y, brighter at high y."""
+    return photographed(np.linspace(0.5, 1.0, 96)[:, None] * PEAK_DN * light(3, 5), 2)
+
+
+def test_check_says_nothing_wrong_and_ends_with_0(tmp_path: Path) -> None:
+    """And lists, and ends with 2, where something is."""
+    folder = write_dataset(tmp_path)
+    assert "nothing wrong" in run("check", folder).stdout
+    assert told("check", folder) == {"dataset": str(folder), "errors": 0, "warnings": 0, "findings": []}
+    edit(folder, "exposure_ms = 8.0", "exposure_ms = 0")
+    (finding,) = told("check", folder, code=2)["findings"]
+    assert set(finding) == {"level", "file", "field", "value", "allowed", "mend"}
+    result = run("check", folder)
+    assert "error: dataset.toml: shots" in result.stdout
+    assert "1 error, 0 warnings" in result.stdout
+
+
+def test_check_seals_what_was_changed_on_purpose(tmp_path: Path) -> None:
+    """A warning before, nothing after."""
+    folder = write_dataset(tmp_path)
+    (folder / "readme.txt").write_text("hello")
+    assert told("check", folder)["warnings"] == 1
+    assert told("check", folder, "--seal")["warnings"] == 0
+
+
+def test_show_tells_camera_samples_and_shots(tmp_path: Path) -> None:
+    """Counts, shares and signal to noise; one row a shot."""
+    folder = write_dataset(tmp_path)
+    shown = told("show", folder)
+    single, array = shown["images"]
+    assert single["masked_percent"] == pytest.approx(100.0 * 35 / 96**2)
+    assert array["snr_bright"] == pytest.approx(np.sqrt(array["peak_dn"] / 0.05), rel=0.02)
+    assert shown["sha256"] == read_dataset(folder).sha256
+    text = run("show", folder).stdout
+    for word in ("array 3 x 5", "gain_dn_per_e 0.05", "transmission", "goniometer"):
+        assert word in text
+
+
+def test_import_asks_for_everything_that_is_missing_at_once(raw: Path, tmp_path: Path) -> None:
+    """The camera's numbers and the samples' designs, by their options; nothing is written."""
+    error = refusal("import", raw, "--into", tmp_path / "data", "--pixel-um", "24", "--layout", "array")
+    for word in ("--bit-depth", "--gain-dn-per-e", "--read-noise-e", "--rows", "--distance-um", "--dbr-pairs"):
+        assert word in error.allowed
+    assert "--pixel-um" not in error.allowed
+    assert "--write-table" in error.mend
+    assert not (tmp_path / "data").exists()
+
+
+def test_import_by_a_table_gives_a_data_set_with_nothing_wrong(raw: Path, tmp_path: Path) -> None:
+    """The table is written, filled in, read; images are flipped, and that is on record; guesses say so."""
+    table, data = tmp_path / "shots.csv", tmp_path / "data"
+    assert told("import", raw, "--write-table", table, *DESIGN)["files"] == ["more/array 1.tif", "single.tif"]
+    lines = table.read_text().splitlines()
+    lines[1] = lines[1].replace("array 1.tif,,,,,180.0,40.0,,", "array 1.tif,,array,3,5,180.0,40.0,400,")
+    lines[2] = lines[2].replace("single.tif,,,", "single.tif,,single,")
+    table.write_text("\n".join(lines) + "\n")
+    made = told("import", raw, "--into", data, "--table", table, *CAMERA)
+    assert (made["images"], made["samples"], made["errors"], made["warnings"]) == (2, 2, 0, 0)
+    assert "camera.black_level_dn" in made["to_check"]
+    text = (data / "dataset.toml").read_text()
+    assert "# check this" in text
+    assert "were flipped" in text
+    assert [sample.id for sample in read_dataset(data).manifest.samples] == ["array-3x5-5.5", "single-5.5"]
+    assert np.array_equal(tifffile.imread(data / "images/more-array-1.tif"), lopsided())
+    rows = measured_images(read_dataset(data))[0].signal_dn.mean(axis=1)
+    assert rows[48:].sum() > rows[:48].sum()
+
+
+def test_import_row0_bottom_keeps_the_rows(raw: Path, tmp_path: Path) -> None:
+    """And says so in the notes."""
+    (raw / "more" / "array 1.tif").unlink()
+    result = run("import", raw, "--into", tmp_path / "d", "--row0", "bottom", "--layout", "single", *CAMERA, *DESIGN)
+    assert result.exit_code == 0, (result.output, result.exception)
+    stored = tifffile.imread(tmp_path / "d" / "images" / "single.tif")
+    assert np.array_equal(stored, tifffile.imread(raw / "single.tif"))
+    assert "nothing was flipped" in read_dataset(tmp_path / "d").manifest.notes
+
+
+def test_import_turns_darks_flats_and_masks_too(raw: Path, tmp_path: Path) -> None:
+    """All files of one shot lie the same way; a raw flat loses its black level, which comes from the dark."""
+    (raw / "more" / "array 1.tif").unlink()
+    ramp = np.linspace(0, 1000, 96, dtype=np.uint16)[:, None] + np.full((96, 96), 1064, np.uint16)
+    mask = np.ones((96, 96), np.uint8)
+    mask[:9] = 0
+    tifffile.imwrite(raw / "dark.tif", np.full((96, 96), 60, np.uint16))
+    tifffile.imwrite(raw / "flat.tif", ramp)
+    tifffile.imwrite(raw / "mask.tif", mask)
+    options = ("--layout", "single", *CAMERA, *DESIGN)
+    assert (
+        "--dark, --flat or --mask for dark.tif, flat.tif, mask.tif"
+        in refusal("import", raw, "--into", tmp_path / "d", *options).allowed
+    )
+    helpers = ("--dark", "dark.tif", "--flat", "flat.tif", "--mask", "mask.tif", "--exposure-ms", "8")
+    told("import", raw, "--into", tmp_path / "d", *options, *helpers)
+    data = read_dataset(tmp_path / "d")
+    shot = data.manifest.images()[0]
+    assert data.manifest.camera is not None
+    assert data.manifest.camera.black_level_dn == 60.0
+    assert shot.flat is not None
+    assert shot.mask is not None
+    np.testing.assert_allclose(tifffile.imread(data.path(shot.flat)), ramp[::-1] - 60.0)
+    assert not tifffile.imread(data.path(shot.mask))[-9:].any()
+
+
+@pytest.mark.parametrize("kind", ["lmk", "lmk camera", "csv", "semicolons", "tabs"])
+def test_import_reads_what_other_programs_write(tmp_path: Path, kind: str) -> None:
+    """LMK luminance and camera images, matrices with points or decimal commas; a scale makes them DN."""
+    values = photographed(PEAK_DN * light(), 1)
+    (tmp_path / "raw").mkdir()
+    if kind == "lmk":
+        header = LMK % values.shape
+        (tmp_path / "raw/a.pf").write_bytes(header + (values / 2.0).astype("<f4").tobytes())
+    elif kind == "lmk camera":
+        header = (LMK % values.shape).replace(b"<float>", b"<unsigned short>")
+        (tmp_path / "raw/a.pf").write_bytes(header + (values // 2).astype("<u2").tobytes())
+    else:
+        mark = {"csv": ",", "semicolons": ";", "tabs": "\t"}[kind]
+        lines = [mark.join(f"{value / 2:.1f}" for value in row) for row in values]
+        text = "\n".join(lines) if mark == "," else "\n".join(lines).replace(".", ",")
+        (tmp_path / "raw/a.csv").write_text(text + "\n")
+    options = ("--layout", "single", "--scale", "2", "--row0", "bottom", *CAMERA, *DESIGN)
+    result = run("import", tmp_path / "raw", "--into", tmp_path / "d", *options)
+    assert result.exception is None or isinstance(result.exception, SystemExit)
+    stored = tifffile.imread(tmp_path / "d/images/a.tif")
+    assert stored.dtype == np.float32
+    np.testing.assert_allclose(stored, values, atol=1.0 if kind == "lmk camera" else 0.0)
+
+
+def lmk_of(header: bytes, body: bytes) -> tuple[str, bytes]:
+    """An LMK file."""
+    return "a.pf", header + body
+
+
+BAD_FILES = {
+    "lmk colour": (
+        *lmk_of((LMK % (2, 2)).replace(b"<float>", b"<Pic98::TRGBFloatPixel>"), b"\0" * 48),
+        "one channel",
+    ),
+    "lmk cut": (*lmk_of(LMK % (4, 4), b"\0" * 60), "save it again"),
+    "lmk without size": (*lmk_of((LMK % (4, 4)).replace(b"Lines=4", b"Lines="), b"\0" * 64), "save it again"),
+    "not lmk": ("a.pf", b"hello", "LMK image"),
+    "header in csv": ("a.csv", b"a,b\n1,2\n3,4\n", "header line"),
+    "ragged csv": ("a.csv", b"1,2\n3\n", "different lengths"),
+    "one line": ("a.csv", b"1,2,3\n", "one row a line"),
+}
+
+
+@pytest.mark.parametrize("case", BAD_FILES)
+def test_import_refuses_files_it_cannot_read_and_leaves_nothing(tmp_path: Path, case: str) -> None:
+    """By the file's name; neither the data set nor a part of it is left."""
+    name, content, mend = BAD_FILES[case]
+    (tmp_path / "raw").mkdir()
+    (tmp_path / "raw" / name).write_bytes(content)
+    error = refusal("import", tmp_path / "raw", "--into", tmp_path / "d", "--layout", "single", *CAMERA, *DESIGN)
+    assert error.field.startswith(name)
+    assert mend in error.mend
+    assert [path.name for path in tmp_path.iterdir()] == ["raw"]
+
+
+@pytest.mark.parametrize(
+    ("line", "field"),
+    [("file,distance", "line 1"), ("distance_um\n1", "line 1"), ("file,rows\na.tif,2.5", "line 2: rows"),
+     ("file,width_um\na.tif,4,0", "line 2"), ('file;width_um\na.tif;"4,0"', "line 2: width_um")],
+)  # fmt: skip
+def test_a_bad_table_is_refused(raw: Path, tmp_path: Path, line: str, field: str) -> None:
+    """Unknown columns, no files, no numbers, decimal commas."""
+    (tmp_path / "t.csv").write_text(line + "\n")
+    assert field in refusal("import", raw, "--into", tmp_path / "d", "--table", tmp_path / "t.csv").field
+
+
+def test_import_never_writes_over_anything(raw: Path, tmp_path: Path) -> None:
+    """A folder with something in it, a table that is there, a sample of two designs."""
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "x").write_text("x")
+    assert refusal("import", raw, "--into", tmp_path / "full").field == "--into"
+    assert refusal("import", raw, "--write-table", tmp_path / "full" / "x").field == "--write-table"
+    (tmp_path / "t.csv").write_text("file,sample,width_um\nsingle.tif,a,40\nmore/array 1.tif,a,41\n")
+    rest = ("--layout", "single", *CAMERA, "--distance-um", "180", "--thickness-um", "20", "--dbr-pairs", "0")
+    assert refusal("import", raw, "--into", tmp_path / "d", "--table", tmp_path / "t.csv", *rest).field.endswith(
+        "width_um"
+    )

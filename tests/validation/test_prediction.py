@@ -1,0 +1,376 @@
+"""Predictions against the workers that make them: what is asked, and that derivatives are those of the answers."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from luxloop.errors import InputError, RemoteError
+from luxloop.model import Model
+from luxloop.model_file import find_model
+from tests.validation.workers import Workers
+from validation.dataset.manifest import FilmLayer, FilmSample, Sample
+from validation.prediction import POSE_COLUMNS, Anchored, Curve, FarView, Pose, Predictor, View
+from validation.prediction import images as images_module
+from validation.prediction.differences import moved_models
+from validation.prediction.spectra import film_value, stack_of, with_film_value
+
+CHIP: dict[str, Any] = {"distance_um": 180.0, "width_um": 40.0, "spacing_um": 400.0, "thickness_um": 20.0}
+SINGLE = Sample(id="one", layout="single", dbr_pairs=0.0, module_half_um=800.0, **CHIP)
+FOUR = Sample(id="four", layout="array", rows=2, columns=2, dbr_pairs=2.5, **CHIP)
+SUBSTRATE, RECEIVER = "environment.substrate.reflectance", "environment.receiver.reflectance"
+SIGMA, LOSS = "environment.substrate.sigma_deg", "environment.chip_absorption_per_cm"
+LAYER = "environment.active_layer_depth"
+
+
+def view(sample: Sample = SINGLE, size: int = 12, pose: Pose | None = None) -> View:
+    """A coarse image, the module's centre in its middle."""
+    return View(sample, size, size, 50.0, ((size - 1) / 2, (size - 1) / 2), pose or Pose())
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Of the films."""
+    return tmp_path_factory.mktemp("films")
+
+
+@pytest.fixture(scope="module")
+def shared(folder: Path) -> Workers:
+    """Workers that have chips by now."""
+    return Workers(folder)
+
+
+@pytest.fixture
+def workers(shared: Workers) -> Workers:
+    """The same, nothing asked yet."""
+    shared.asked.clear()
+    return shared
+
+
+@pytest.fixture(scope="module")
+def model() -> Model:
+    """The paper's; its chip absorbs, so walks are short."""
+    return find_model("paper")
+
+
+def test_views_of_one_size_are_one_request(workers: Workers, model: Model) -> None:
+    """Two samples cost one question; a third of another size one more; the order is that of the views."""
+    predictor = Predictor(workers)  # type: ignore[arg-type]  # answers as a client does
+    found = predictor.images(model, [view(), view(FOUR), view(size=10), view(FOUR)])
+    assert [len(request.shots) for request in workers.of_kind("ray")] == [1, 3]
+    assert [one.irradiance_per_mm2.shape for one in found] == [(12, 12), (12, 12), (10, 10), (12, 12)]
+    np.testing.assert_array_equal(found[1].irradiance_per_mm2, found[3].irradiance_per_mm2)
+    assert all(not one.jacobian_per_mm2 and one.noise_per_mm2 is None for one in found)
+
+
+def test_a_sample_is_asked_for_as_it_stands(workers: Workers, model: Model) -> None:
+    """Its design, its half width (2 mm around a single), its film, its camera."""
+    turned = view(FOUR, pose=Pose((0.5, -1.0), 2.0))
+    single = replace(view(), sample=SINGLE.model_copy(update={"module_half_um": None}))
+    Predictor(workers).images(model, [turned, single])  # type: ignore[arg-type]
+    (request,) = workers.of_kind("ray")
+    four, one = request.shots
+    assert (four.array.rows, four.array.columns, four.array.half_um) == (2, 2, 400.0)
+    assert (one.array.rows, one.array.half_um, one.film) == (1, 2000.0, None)
+    assert four.film is not None
+    assert four.design == FOUR.design
+    assert (four.camera.shift_px, four.camera.rotation_deg, four.camera.centre_px) == ((0.5, -1.0), 2.0, (5.5, 5.5))
+    assert (four.camera.gain_dn, four.camera.pixel_um) == (1.0, 50.0)
+
+
+def test_films_are_asked_for_once(workers: Workers, model: Model) -> None:
+    """What is no part of the film moves without a new question; the film's own layers do not."""
+    predictor = Predictor(workers)  # type: ignore[arg-type]
+    for reflectance in (0.30, 0.32):
+        predictor.images(model.with_value(RECEIVER, reflectance), [view(FOUR)])
+    assert len(workers.of_kind("film")) == 1
+    predictor.images(model.with_value("environment.aln_layer_nm", 50.0), [view(FOUR)])
+    assert len(workers.of_kind("film")) == 2
+
+
+def test_a_table_that_has_gone_is_computed_again(folder: Path, model: Model) -> None:
+    """Once; a second loss is told."""
+    workers = Workers(folder)
+    workers.lost.add(workers.run(_film_request(model)).result["table_sha256"])
+    predictor = Predictor(workers)  # type: ignore[arg-type]
+    assert predictor.images(model, [view(FOUR)])[0].irradiance_per_mm2.max() > 0.0
+
+    class Forgetful(Workers):
+        def _fetch(self, sha256: str, size: int) -> bytes:
+            self.lost.add(sha256)
+            return super()._fetch(sha256, size)
+
+    with pytest.raises(RemoteError, match="nobody holds"):
+        Predictor(Forgetful(folder)).images(model, [view(FOUR)])  # type: ignore[arg-type]
+
+
+def _film_request(model: Model) -> Any:
+    asked = Recorder()
+    with pytest.raises(LookupError):
+        Predictor(asked).images(model, [view(FOUR)])  # type: ignore[arg-type]
+    return asked.request
+
+
+class Recorder:
+    """A client that keeps the first request and answers none."""
+
+    def run(self, request: Any, **_: Any) -> Any:
+        """Keep it."""
+        self.request = request
+        raise LookupError
+
+
+STEPS = {SUBSTRATE: 5e-3, RECEIVER: 0.02, LOSS: 6.0}
+
+
+def test_derivatives_are_differences_of_images_in_the_units_of_the_model(workers: Workers, model: Model) -> None:
+    """By reflectances as shares, by loss per cm: from one request beside the images, one column each."""
+    predictor = Predictor(workers)  # type: ignore[arg-type]
+    views = [view(), view(FOUR)]
+    found = predictor.images(model, views, tuple(STEPS))
+    assert len(workers.of_kind("ray")) == 2
+    near = Anchored(model, histories=1)  # the same exits, reweighted, on either side
+    for path, h in STEPS.items():
+        value = model.leaves()[path]
+        up, down = (predictor.images(model.with_value(path, value + s * h), views, (), near) for s in (1, -1))
+        for one, high, low in zip(found, up, down, strict=True):
+            difference = (high.irradiance_per_mm2 - low.irradiance_per_mm2) / (2.0 * h)
+            error = np.sqrt(np.mean((one.jacobian_per_mm2[path] - difference) ** 2))
+            assert error < 0.1 * np.sqrt(np.mean(difference**2)), path
+
+
+def test_a_lobes_width_is_differentiated_per_degree(workers: Workers, model: Model) -> None:
+    """Its column is asked for in radians and comes back pi / 180 as large."""
+    found = Predictor(workers).images(model, [view()], (SIGMA,))  # type: ignore[arg-type]
+    request = next(one for one in workers.of_kind("ray") if one.columns)
+    assert request.columns == ("substrate_sigma_rad",)
+    column = workers.run(request).arrays["jacobian_per_mm2"][0, 0]
+    np.testing.assert_allclose(found[0].jacobian_per_mm2[SIGMA], np.pi / 180.0 * column, rtol=1e-6)
+
+
+def test_derivatives_by_the_pose_are_differences_of_moved_cameras(workers: Workers, model: Model) -> None:
+    """Per pixel and per degree, beside another column, whatever their order."""
+    predictor = Predictor(workers)  # type: ignore[arg-type]
+    found = predictor.images(model, [view(FOUR)], ("shift_column_px", RECEIVER, "shift_row_px", "rotation_deg"))[0]
+    moves = {
+        "shift_row_px": ((0.1, 0.0), 0.0),
+        "shift_column_px": ((0.0, 0.1), 0.0),
+        "rotation_deg": ((0.0, 0.0), 0.5),
+    }
+    for name, (shift, turn) in moves.items():
+        poses = [Pose((s * shift[0], s * shift[1]), s * turn) for s in (1.0, -1.0)]
+        high, low = predictor.images(model, [view(FOUR, pose=pose) for pose in poses])
+        difference = (high.irradiance_per_mm2 - low.irradiance_per_mm2) / (2.0 * (max(shift) or turn))
+        np.testing.assert_allclose(found.jacobian_per_mm2[name], difference, atol=0.02 * np.abs(difference).max())
+    assert set(found.jacobian_per_mm2) == {*POSE_COLUMNS, RECEIVER}
+
+
+def test_what_no_worker_differentiates_is_moved(workers: Workers, model: Model) -> None:
+    """The derivative by the chip's index predicts another index's image; one that scales lux alone has none."""
+    predictor, path = Predictor(workers), "environment.n_gan"  # type: ignore[arg-type]
+    found = predictor.images(model, [view()], (path, "environment.flux_per_chip_w"))[0]
+    (moved,) = predictor.images(model.with_value(path, 2.4869 + 0.03), [view()])
+    change = moved.irradiance_per_mm2 - found.irradiance_per_mm2
+    assert np.sqrt(np.mean((change - 0.03 * found.jacobian_per_mm2[path]) ** 2)) < 0.5 * np.sqrt(np.mean(change**2))
+    assert not found.jacobian_per_mm2["environment.flux_per_chip_w"].any()
+
+
+def test_differences_stay_within_the_range_and_are_exact_for_parabolas(model: Model) -> None:
+    """A layer at 0.99 moves down only, one at 0.5 both ways, one at 0 up; 3 x + x^2 has its slope."""
+    for at, places in ((0.99, [0.99, 0.79, 0.59]), (0.5, [0.7, 0.3]), (0.0, [0.0, 0.2, 0.4])):
+        moved = moved_models(model.with_value(LAYER, at), LAYER)
+        values = [one.what.environment.active_layer_depth or 0.0 for one in moved]
+        np.testing.assert_allclose(values, places)
+        slope = sum(one.weight * (3.0 * x + x * x) for one, x in zip(moved, values, strict=True))
+        assert slope == pytest.approx(3.0 + 2.0 * at)
+
+
+def test_differences_are_asked_for_once_in_an_anchored_fit(
+    workers: Workers, model: Model, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """About the anchor's model and a rounded pose: a small step of the fit asks the same question again."""
+    monkeypatch.setattr(images_module, "DIFFERENCE_EXITS", 1 << 15)
+    predictor, at = Predictor(workers), Anchored(model, 1)  # type: ignore[arg-type]
+    asked = []
+    for step in (0.0, 0.01):
+        workers.asked.clear()
+        moved = model.with_value(RECEIVER, 0.35 - step)
+        predictor.images(moved, [view(pose=Pose((0.3 + step, 0.0), step))], (LAYER,), at)
+        asked += [one for one in workers.of_kind("ray") if one.anchor is None]
+    assert len(asked) == 2
+    assert asked[0] == asked[1]
+
+
+def test_more_shots_than_a_request_holds_are_split(
+    workers: Workers, model: Model, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Images and moved models, by count and by pixels: the same as in one request, to the last bit."""
+    predictor = Predictor(workers)  # type: ignore[arg-type]
+    views, paths = [view(size=size) for size in (8, 9, 8, 8)], ("environment.flux_per_chip_w", RECEIVER)
+    monkeypatch.setattr(images_module, "DIFFERENCE_EXITS", 1 << 15)
+    whole = predictor.images(model, views, paths)
+    for name, least in (("MOST_SHOTS", 2), ("MOST_VALUES", 100)):
+        monkeypatch.setattr(images_module, name, least)
+        workers.asked.clear()
+        parts = predictor.images(model, views, paths)
+        assert max(len(request.shots) for request in workers.of_kind("ray")) <= 2
+        for one, other in zip(whole, parts, strict=True):
+            np.testing.assert_array_equal(one.irradiance_per_mm2, other.irradiance_per_mm2)
+            for path in paths:
+                np.testing.assert_array_equal(one.jacobian_per_mm2[path], other.jacobian_per_mm2[path])
+
+
+def test_an_anchored_image_is_monte_carlo_there(workers: Workers, model: Model) -> None:
+    """At the anchor twin and twin cancel; beside it the image moves as the twin's, and the noise stays."""
+    predictor, views = Predictor(workers), [view(), view(FOUR)]  # type: ignore[arg-type]
+    at = Anchored(model, histories=1 << 17, seed=3)
+    beside = model.with_value(RECEIVER, 0.30)
+    here, there = (predictor.images(one, views, (), at) for one in (model, beside))
+    twin_here, twin_there = (predictor.images(one, views) for one in (model, beside))
+    assert here[0].noise_per_mm2 is not None
+    assert here[0].noise_per_mm2.shape == (32, 12, 12)
+    for a, b, twin_a, twin_b in zip(here, there, twin_here, twin_there, strict=True):
+        error = np.sqrt((a.noise_per_mm2**2).sum(axis=0))  # type: ignore[operator]
+        assert 0.0 < error.mean() < 0.1 * a.irradiance_per_mm2.mean()
+        assert np.abs(a.irradiance_per_mm2 - twin_a.irradiance_per_mm2).mean() < 4.0 * error.mean()
+        np.testing.assert_array_equal(a.noise_per_mm2, b.noise_per_mm2)  # type: ignore[arg-type]
+        moved, expected = (
+            b.irradiance_per_mm2 - a.irradiance_per_mm2,
+            twin_b.irradiance_per_mm2 - twin_a.irradiance_per_mm2,
+        )
+        np.testing.assert_allclose(moved, expected, atol=1e-9 * a.irradiance_per_mm2.max())
+
+
+def test_an_anchor_is_seen_from_its_own_poses(workers: Workers, model: Model) -> None:
+    """None are given: unmoved cameras, whatever the views'; as many as views, or it is refused."""
+    predictor, pose = Predictor(workers), Pose((0.3, 0.0), 1.0)  # type: ignore[arg-type]
+    for poses, expected in (((), Pose()), ((pose,), pose)):
+        workers.asked.clear()
+        predictor.images(model, [view(pose=pose)], (), Anchored(model, 1, poses=poses))
+        camera = workers.of_kind("ray")[0].anchor.shots[0].camera
+        assert (camera.shift_px, camera.rotation_deg) == (expected.shift_px, expected.rotation_deg)
+    with pytest.raises(InputError, match=r"anchor\.poses"):
+        predictor.images(model, [view()], (), Anchored(model, 1, poses=(pose, pose)))
+
+
+def test_monte_carlo_images_have_random_numbers_of_their_own(workers: Workers, model: Model) -> None:
+    """Two views of one sample differ by noise, the same seed repeats both, and both are near the twin."""
+    predictor, views, heard = Predictor(workers), [view(), view()], []  # type: ignore[arg-type]
+    one, other = predictor.monte_carlo(model, views, 1 << 17, 5, lambda done, of: heard.append((done, of)))
+    again = predictor.monte_carlo(model, views, 1 << 17, 5)
+    assert heard == [(1, 2), (2, 2)]
+    np.testing.assert_array_equal(one.irradiance_per_mm2, again[0].irradiance_per_mm2)
+    assert np.abs(one.irradiance_per_mm2 - other.irradiance_per_mm2).max() > 0.0
+    twin = predictor.images(model, views[:1])[0].irradiance_per_mm2
+    np.testing.assert_allclose(one.irradiance_per_mm2, twin, atol=0.05 * twin.max())
+
+
+BAD = [
+    ("environment.substrate.reflectanse", "path"),
+    ("environment.emission", "path"),
+    ("name", "path"),
+]
+
+
+@pytest.mark.parametrize(("path", "field"), BAD)
+def test_a_path_that_is_no_number_is_refused(workers: Workers, model: Model, path: str, field: str) -> None:
+    """Misspelt, a word, not of the physics."""
+    with pytest.raises(InputError) as caught:
+        Predictor(workers).images(model, [view()], (path,))  # type: ignore[arg-type]
+    assert caught.value.field == field
+
+
+def test_a_width_that_a_surface_does_not_have_fails(workers: Workers) -> None:
+    """A Lambertian substrate has no sigma; the worker says so."""
+    clear = find_model("clear_chip")
+    surface = {"scatter": "lambertian", "sigma_deg": None, "reflectance": 0.9}
+    dull = Model.model_validate(
+        clear.model_dump() | {"environment": clear.environment.model_dump() | {"substrate": surface}}
+    )
+    with pytest.raises(RemoteError) as caught:
+        Predictor(workers).images(dull, [view()], (SIGMA,))  # type: ignore[arg-type]
+    assert caught.value.failure.field == "shots.0.substrate"
+
+
+FILM = FilmSample(
+    id="polymer.1",
+    incident="air",
+    exit="Si",
+    layers=(
+        FilmLayer(cauchy=(1.45, 0.005), thickness_nm=300.0, free={"a": (1.3, 1.6), "thickness_nm": (100.0, 500.0)}),
+        FilmLayer(material="SiO2", thickness_nm=1.5),
+    ),
+)
+
+
+def curve(quantity: Any = "R", film: FilmSample = FILM) -> Curve:
+    """Ragged rows: two polarisations at other wavelengths and angles."""
+    polarisation = ("s", "s", "p", "u") if quantity in ("R", "T") else ("",) * 4
+    return Curve(
+        film, quantity, np.array([500.0, 600.0, 500.0, 700.0]), np.array([60.0, 40.0, 60.0, 55.0]), polarisation
+    )
+
+
+def test_a_film_is_turned_round_for_the_workers() -> None:
+    """A manifest begins with the light, a stack with the bulk."""
+    stack = stack_of(FILM)
+    assert (stack.inside.material, stack.outside.n) == ("Si", 1.0)
+    assert [str(layer) for layer in stack.layers] == ["SiO2(1.5 nm)", "1.45+0.005/um2(300 nm)"]
+
+
+@pytest.mark.parametrize("quantity", ["R", "psi", "delta"])
+def test_rows_of_a_curve_are_the_instruments_readings(workers: Workers, model: Model, quantity: str) -> None:
+    """Each at its own wavelength, angle and polarisation; one question for each polarisation."""
+    from containers.thin_film.film_measurement import measure
+
+    asked = curve(quantity)
+    (found,) = Predictor(workers).spectra(model, [asked])  # type: ignore[arg-type]
+    rows = zip(asked.wavelength_nm, asked.aoi_deg, asked.polarisation, strict=True)
+    expected = [measure(stack_of(FILM), quantity, wave, aoi, one or "u")[0, 0] for wave, aoi, one in rows]  # type: ignore[arg-type]
+    np.testing.assert_allclose(found.value, expected, rtol=1e-12)
+    assert len(workers.of_kind("film")) == (3 if quantity == "R" else 1)
+
+
+def test_derivatives_of_curves_are_those_of_moved_films(workers: Workers, model: Model) -> None:
+    """By a thickness and a Cauchy coefficient of the film; a delta that passes 360 degrees has none of that jump."""
+    predictor = Predictor(workers)  # type: ignore[arg-type]
+    steps = {
+        f"films.{FILM.id}.layers.0.{name}": h for name, h in (("thickness_nm", 0.02), ("a", 1e-4), ("b_um2", 1e-5))
+    }
+    other = replace(curve(), film=FILM.model_copy(update={"id": "other"}))
+    for quantity in ("R", "delta"):
+        found, elsewhere = predictor.spectra(model, [curve(quantity), other], tuple(steps))
+        for path, h in steps.items():
+            value = film_value(FILM, path)
+            ends = [with_film_value(FILM, path, value + s * h) for s in (1, -1)]
+            high, low = predictor.spectra(model, [curve(quantity, film) for film in ends])
+            difference = (high.value - low.value) / (2.0 * h)
+            np.testing.assert_allclose(found.jacobian[path], difference, rtol=2e-2, atol=2e-3 * abs(difference).max())
+            assert not elsewhere.jacobian[path].any()
+
+
+@pytest.mark.parametrize(
+    "path",
+    ["films.polymer.1.layers.2.thickness_nm", "films.polymer.1.layers.1.a", "films.polymer.1.colour", "films.x.a"],
+)
+def test_a_path_that_no_film_has_is_refused(workers: Workers, model: Model, path: str) -> None:
+    """Another layer, a coefficient of a named material, nonsense, another film."""
+    with pytest.raises(InputError, match="path"):
+        Predictor(workers).spectra(model, [curve()], (path,))  # type: ignore[arg-type]
+
+
+def test_a_far_field_is_the_modules(workers: Workers, model: Model) -> None:
+    """Its integral over the half space is the light on its first way to the receiver; errors and a derivative too."""
+    theta, phi = (axis.ravel() for axis in np.meshgrid(np.arange(0.5, 90.0), np.arange(5.0, 360.0, 10.0)))
+    predictor = Predictor(workers)  # type: ignore[arg-type]
+    (found,) = predictor.far_fields(model, [FarView(SINGLE, theta, phi)], (LOSS,), histories=1 << 18)
+    weight = np.sin(np.radians(theta)) * np.radians(1.0) * np.radians(10.0)
+    stated = workers.run(workers.of_kind("ray")[-1]).result["far_field"]["module"]["flux_ratio"]["value"]
+    assert (found.value * weight).sum() == pytest.approx(stated, rel=0.02)
+    assert found.error is not None
+    assert 0.0 < found.error.mean() < 0.2 * found.value.mean()
+    assert (found.jacobian[LOSS] * weight).sum() < 0.0  # more loss, less light

@@ -1,0 +1,125 @@
+"""`luxloop calibrate`: the paper's virtual-realistic experiment, and beside it the fit with a noise model."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from luxloop.errors import InputError
+from luxloop.settings import load_settings
+from validation.compare_command import (
+    HISTORIES,
+    Film,
+    Histories,
+    Json,
+    NoLocal,
+    Page,
+    Pixel,
+    Quiet,
+    Router,
+    Runs,
+    Seed,
+    errors_of,
+    view_of,
+)
+
+if TYPE_CHECKING:
+    from luxloop.model import Model
+    from validation.calibration import Way
+
+ModelFile = Annotated[str, typer.Option("--model", help="The model file; it names its data (luxloop compare).")]
+Twin = Annotated[bool, typer.Option("--twin", help="Fit with the twin alone, without Monte Carlo.")]
+
+
+def calibrate(
+    model: ModelFile = "model.toml",
+    joint: Annotated[bool, typer.Option("--joint", help="All pairs of substrate and receiver, not in turn.")] = False,
+    fit_only: Annotated[bool, typer.Option("--fit-only", help="The continuous fit alone, no candidates.")] = False,
+    free: Annotated[
+        str | None, typer.Option(help="Parameters to fit, with commas; default: those that the file frees.")
+    ] = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Leave the model file as it is.")] = False,
+    twin: Twin = False,
+    histories: Histories = HISTORIES,
+    seed: Seed = 1,
+    pixel_um: Pixel = None,
+    film: Film = None,
+    page: Page = None,
+    no_local: NoLocal = False,
+    runs: Runs = None,
+    router: Router = None,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Find the environment that the images show: scatter by least MSE (Eqs. 1-2), then values with errors."""
+    from validation import told
+    from validation.calibration import Calibrated, calibrated
+    from validation.comparing import NULLS, Solver
+    from validation.observed import Observed
+    from validation.session import session, subject_of
+
+    draw = view_of("calibration", page) if page is not None else None
+    settings = load_settings(runs=runs, router=router)
+    subject = subject_of(model, None)
+    if joint and fit_only:
+        raise InputError("--joint", True, "not beside --fit-only", "leave one of the two out")
+    observed = Observed.of(subject.dataset, pixel_um, film)
+    chosen = paths_of(subject.model, free)
+    say = not (as_json or quiet)
+    solver = Solver(None if twin else histories, seed)
+    way: Way | None = None if fit_only else "joint" if joint else "in turn"
+    with (
+        session(settings, subject, "calibrate", seed=seed, local=not no_local, say=say) as at,
+        bar(say) as progress,
+    ):
+        found: Calibrated = calibrated(
+            subject.model, observed, at.predictor, solver, way=way, free=chosen, progress=progress,
+            cache=settings.cache_dir / NULLS,
+        )  # fmt: skip
+        document = {
+            "command": shlex.join(["luxloop", *sys.argv[1:]]),
+            "model": {"file": subject.file, "name": subject.model.name, "sha256": subject.model.sha256},
+            "dataset": {
+                "path": str(subject.dataset.folder), "name": subject.dataset.manifest.name,
+                "sha256": subject.dataset.sha256,
+            },
+            **found.document(),
+            "run": at.door.run, "folder": at.door.begun.folder,
+        }  # fmt: skip
+        at.record(document, found.after.residual_maps())
+    if not dry_run:
+        kept = found.after.fit.model.model_copy(update={"data": subject.with_data.data})
+        version = subject.saved(kept, "calibrate", errors_of(found.after))
+        document["version"] = version.number if version else None
+    if draw is not None:
+        draw(document, {}, page)
+    typer.echo(json.dumps(document, ensure_ascii=False) if as_json else "\n".join(told.calibration(document)))
+
+
+def paths_of(model: Model, free: str | None) -> list[str]:
+    """The parameters to fit. Raises InputError for one without limits in the model file."""
+    if free is None:
+        return [path for path, fit in model.fit.items() if fit.free]
+    wanted = [path.strip() for path in free.split(",") if path.strip()]
+    for path in wanted:
+        if path not in model.fit:
+            raise InputError("--free", path, ", ".join(model.fit) or "(no [fit] table)", f'add [fit."{path}"]')
+    return wanted
+
+
+@contextmanager
+def bar(say: bool) -> Iterator[Callable[[float, str], None]]:
+    """A bar on a terminal: what is told the share done and of what."""
+    from rich.console import Console
+    from rich.progress import Progress
+
+    console = Console(stderr=True)
+    with Progress(console=console, transient=True, disable=not (say and console.is_terminal)) as progress:
+        row = progress.add_task("calibrating", total=1.0)
+        yield lambda share, what: progress.update(row, completed=share, description=what)

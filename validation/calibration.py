@@ -1,0 +1,165 @@
+"""Calibration: candidates by least mean square error as in the paper, then the continuous fit with its errors."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from luxloop.model import Model, Surface
+from luxloop.units import unit_of
+from validation.comparing import Comparison, Solver, compared
+from validation.fit import Profile, profile
+from validation.observed import Observed
+from validation.prediction import Predictor
+from validation.virtual_realistic import KINDS, Experiment, Part, Stage
+
+Way = Literal["in turn", "joint"]
+NORMAL_95 = 1.959964
+CORRELATED = 0.95
+"""Beyond it two parameters are said to be hardly told apart."""
+
+
+@dataclass(frozen=True, eq=False)
+class Calibrated:
+    """What a calibration came to: the stages of the paper's experiment, the model before and after."""
+
+    stages: tuple[Stage, ...]
+    before: Comparison
+    after: Comparison
+    profiles: tuple[Profile, ...]
+
+    @property
+    def free(self) -> tuple[str, ...]:
+        """The parameters that were fitted."""
+        return self.after.fit.problem.unknowns.model_paths
+
+    def document(self) -> dict[str, Any]:
+        """Everything that is told, as plain values."""
+        fit = self.after.fit
+        return {
+            "sentence": self.sentence,
+            "solver": self.after.solver.document(),
+            "trusted": fit.trusted,
+            "reason": "; ".join(fit.distrust),
+            "stages": [stage.document() for stage in self.last_stages],
+            "rounds": [
+                {"round": 1 + number // 2, **self._chosen(number), "mse": stage.best.mse}
+                for number, stage in enumerate(self.stages)
+            ],
+            "fit": {
+                "parameters": [self._parameter(path) for path in self.free],
+                "correlation": [[float(value) for value in row] for row in self._correlation()],
+                "correlated": self._correlated(),
+                "profiles": [
+                    {"path": one.name, "x": list(map(float, one.values)), "chi2": list(map(float, one.chi2_above))}
+                    for one in self.profiles
+                ],
+                "chi2_per_pixel": fit.chi2_per_row,
+                "iterations": fit.iterations,
+                "gap": fit.gap,
+            },
+            "errors": [_errors("before", self.before), _errors("after", self.after)],
+            "structure": self.after.document()["structure"],
+        }
+
+    @property
+    def sentence(self) -> str:
+        """What to say first."""
+        substrate, receiver = (named(getattr(self.after.fit.model.environment, part)) for part in _PARTS)
+        return f"substrate {substrate}; receiver {receiver}"
+
+    @property
+    def last_stages(self) -> list[Stage]:
+        """The last stage of each surface."""
+        return list({stage.part: stage for stage in self.stages}.values())
+
+    def _chosen(self, number: int) -> dict[str, str]:
+        """Both surfaces as they stood after a stage."""
+        chosen: dict[str, str] = {}
+        for stage in self.stages[: number + 1]:
+            for candidate in stage.best.candidates:
+                chosen[candidate.part] = str(candidate)
+        return chosen
+
+    def _parameter(self, path: str) -> dict[str, Any]:
+        fit = self.after.fit
+        value, error, limits = fit.value(path), fit.error(path), self.after.fit.model.fit[path]
+        return {
+            "path": path, "unit": unit_of(path), "start": self.before.fit.model.leaves()[path], "value": value,
+            "error": error, "lower95": max(value - NORMAL_95 * error, limits.lower),
+            "upper95": min(value + NORMAL_95 * error, limits.upper), "prior_mean": limits.prior_mean,
+            "prior_sd": limits.prior_sd, "at_limit": path in fit.at_limit,
+        }  # fmt: skip
+
+    def _correlation(self) -> Any:
+        fit = self.after.fit
+        rows = [fit.names.index(path) for path in self.free]
+        return fit.correlation[np.ix_(rows, rows)]
+
+    def _correlated(self) -> list[str]:
+        """Pairs that the data hardly tell apart, in words."""
+        correlation = self._correlation()
+        return [
+            f"{one} and {other} are correlated by {correlation[i, j]:+.2f}: only a combination of them is known"
+            for i, one in enumerate(self.free)
+            for j, other in enumerate(self.free[:i])
+            if abs(correlation[i, j]) > CORRELATED
+        ]
+
+
+_PARTS: tuple[Part, Part] = ("substrate", "receiver")
+
+
+def calibrated(
+    model: Model,
+    observed: Observed,
+    predictor: Predictor,
+    solver: Solver,
+    *,
+    way: Way | None,
+    free: Sequence[str],
+    progress: Callable[[float, str], None] = lambda *_: None,
+    cache: Path | None = None,
+) -> Calibrated:
+    """The paper's experiment (`way`; None leaves it out) and the continuous fit of the parameters `free`.
+
+    Raises InputError where there are no images of single chips or of arrays to decide by.
+    """
+    progress(0.0, "the model as it is")
+    before = compared(model, observed, predictor, Solver(None, solver.seed), cache=cache)
+    stages: list[Stage] = []
+    if way is not None:
+        experiment = Experiment(observed.images, before.fit.poses, predictor)
+        if way == "joint":
+            stages = list(experiment.joint(model, progress))
+            for stage in stages:
+                model = stage.best.candidates[-1].applied(model)
+        else:
+            for after_stage, stage in experiment.in_turn(model, progress):
+                model = after_stage
+                stages.append(stage)
+    kept = [path for path in free if path in model.fit]
+    progress(0.0, "the fit, with Monte Carlo" if solver.histories else "the fit")
+    after = compared(model, observed, predictor, solver, free=kept, cache=cache)
+    progress(0.5, "profiles")
+    held = [path for path in kept if path not in after.fit.at_limit and np.isfinite(after.fit.error(path))]
+    return Calibrated(tuple(stages), before, after, tuple(profile(after.fit, path) for path in held))
+
+
+def named(surface: Surface) -> str:
+    """A surface in words: its kind by the paper's name where it has one, its reflectance."""
+    kind = next((name for name, sigma_deg in KINDS.items() if sigma_deg == surface.sigma_deg), None)
+    return f"{kind or f'Gaussian {surface.sigma_deg:.3g} deg'}, {100.0 * surface.reflectance:.2f} %"
+
+
+def _errors(name: str, found: Comparison) -> dict[str, Any]:
+    rows = {shot["id"]: shot for shot in found.document()["shots"]}
+    return {
+        "model": name,
+        "rms_error_percent": {shot: row["rms_error_percent"] for shot, row in rows.items()},
+        "noise_percent": {shot: row["noise_percent"] for shot, row in rows.items()},
+    }

@@ -1,0 +1,1 @@
+"""Measured data: the manifest, the folder, its images, spectra and far fields, and what may be wrong with them."""

@@ -1,0 +1,230 @@
+"""Spectra, ellipsometric curves and far fields as CSV: a header, a row per value, commas between, decimal points.
+
+    wavelength_nm,aoi_deg,polarisation,value,sigma      R, T in [0, 1]; psi, delta in deg, their polarisation empty
+    theta_deg,phi_deg,value,sigma                       a far field, its scale free
+
+A table is read whole: every fault of every line is found, and the reader raises the first.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from luxloop.errors import InputError
+from validation.dataset.images import Real
+from validation.dataset.manifest import FarFieldShot, SpectrumShot
+
+SPECTRUM_COLUMNS = ("wavelength_nm", "aoi_deg", "polarisation", "value", "sigma")
+FAR_FIELD_COLUMNS = ("theta_deg", "phi_deg", "value", "sigma")
+LIMITS = {
+    "wavelength_nm": (1.0, 1e6),
+    "aoi_deg": (0.0, 90.0),
+    "theta_deg": (0.0, 180.0),
+    "phi_deg": (-360.0, 360.0),
+    "R": (0.0, 1.0),
+    "T": (0.0, 1.0),
+    "psi": (0.0, 90.0),
+    "delta": (-180.0, 360.0),
+}
+BEYOND_UNITY = 0.05
+"""R or T may pass 0 or 1 by this, or by 5 sigma: a measured one has noise and a reference."""
+PERCENT = 1.5
+"""A reflectance or transmittance with a larger value than this is taken for one in percent."""
+MAX_ROWS = 1_000_000
+
+Quantity = Literal["R", "T", "psi", "delta"]
+Row = Mapping[str, str]
+Faults = list[InputError]
+
+
+@dataclass(frozen=True, eq=False)
+class SpectrumTable:
+    """The columns of a spectrum, one entry a row."""
+
+    wavelength_nm: Real
+    aoi_deg: Real
+    polarisation: tuple[str, ...]  # s, p, u; empty for psi and delta
+    value: Real
+    sigma: Real
+
+
+@dataclass(frozen=True, eq=False)
+class FarFieldTable:
+    """The columns of a far field, one entry a row."""
+
+    theta_deg: Real
+    phi_deg: Real
+    value: Real
+    sigma: Real
+
+
+def read_spectrum(path: Path, shot: SpectrumShot) -> SpectrumTable:
+    """The spectrum in a file; raises the first of its faults as an InputError."""
+    table, faults = spectrum_and_faults(path, shot.file, shot.quantity)
+    if table is None or faults:
+        raise faults[0]
+    return table
+
+
+def read_far_field(path: Path, shot: FarFieldShot) -> FarFieldTable:
+    """The far field in a file; raises the first of its faults as an InputError."""
+    table, faults = far_field_and_faults(path, shot.file)
+    if table is None or faults:
+        raise faults[0]
+    return table
+
+
+def spectrum_and_faults(path: Path, name: str, quantity: Quantity) -> tuple[SpectrumTable | None, Faults]:
+    """The spectrum in a file, None where its columns cannot be read, and everything that is wrong with it."""
+    rows, faults = _rows(path, name, SPECTRUM_COLUMNS)
+    numbers = {
+        column: _numbers(rows, column, name, faults) for column in SPECTRUM_COLUMNS if column != "polarisation"
+    }
+    polarisation = tuple(row["polarisation"].strip() for _, row in rows)
+    allowed = ("",) if quantity in ("psi", "delta") else ("s", "p", "u")
+    for (line, _), one in zip(rows, polarisation, strict=True):
+        if one not in allowed:
+            say = "nothing" if allowed == ("",) else "s, p or u"
+            faults.append(InputError(f"{name}: line {line}: polarisation", one, f"{say} for {quantity}"))
+    faults += _outside(rows, numbers, ("wavelength_nm", "aoi_deg"), name)
+    faults += _wrong_unit(rows, numbers["value"], numbers["sigma"], quantity, name)
+    faults += _duplicates(rows, ("wavelength_nm", "aoi_deg", "polarisation"), name)
+    if not rows or any(not np.isfinite(column).all() for column in numbers.values()):
+        return None, faults
+    return SpectrumTable(polarisation=polarisation, **numbers), faults
+
+
+def far_field_and_faults(path: Path, name: str) -> tuple[FarFieldTable | None, Faults]:
+    """The far field in a file, None where its columns cannot be read, and everything that is wrong with it."""
+    rows, faults = _rows(path, name, FAR_FIELD_COLUMNS)
+    numbers = {column: _numbers(rows, column, name, faults) for column in FAR_FIELD_COLUMNS}
+    faults += _outside(rows, numbers, ("theta_deg", "phi_deg"), name)
+    faults += _duplicates(rows, ("theta_deg", "phi_deg"), name)
+    if rows and not (numbers["value"] > 0.0).any():
+        faults.append(InputError(f"{name}: value", "nothing above 0", "an intensity", "was a background subtracted?"))
+    if not rows or any(not np.isfinite(column).all() for column in numbers.values()):
+        return None, faults
+    return FarFieldTable(**numbers), faults
+
+
+def _rows(path: Path, name: str, columns: tuple[str, ...]) -> tuple[list[tuple[int, Row]], Faults]:
+    """The rows of a CSV with their line numbers, and what is wrong with its form."""
+    raw = path.read_bytes()
+    faults: Faults = []
+    if raw.startswith(b"\xef\xbb\xbf"):
+        faults.append(
+            InputError(f"{name}: line 1", "a byte order mark", "UTF-8 without one", "save as UTF-8, no BOM")
+        )
+    try:
+        text = raw.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        value = raw[error.start : error.start + 8]
+        return [], [*faults, InputError(f"{name}: format", value, "UTF-8 text", "save it as UTF-8")]
+    header, _, _ = text.partition("\n")
+    wanted = ",".join(columns)
+    if [word.strip() for word in header.split(",")] != list(columns):
+        mend = "columns are separated by commas" if ";" in header or "\t" in header else "the first line names them"
+        return [], [*faults, InputError(f"{name}: line 1", header.strip(), wanted, mend)]
+    rows: list[tuple[int, Row]] = []
+    reader = csv.reader(io.StringIO(text))
+    next(reader)
+    for cells in reader:
+        if not any(cell.strip() for cell in cells):
+            continue
+        if len(cells) != len(columns):
+            faults.append(_wrong_count(f"{name}: line {reader.line_num}", cells, columns))
+        elif len(rows) < MAX_ROWS:
+            rows.append((reader.line_num, dict(zip(columns, cells, strict=True))))
+    if not rows and not faults:
+        faults.append(InputError(f"{name}: rows", 0, "at least one row below the header"))
+    return rows, faults
+
+
+def _wrong_count(where: str, cells: Sequence[str], columns: Sequence[str]) -> InputError:
+    comma = len(cells) > len(columns) or any(";" in cell for cell in cells)
+    mend = "a decimal comma? write decimals with a point" if comma else "commas between the values"
+    return InputError(where, ",".join(cells), f"{len(columns)} values: {','.join(columns)}", mend)
+
+
+def _numbers(rows: Sequence[tuple[int, Row]], column: str, name: str, faults: Faults) -> Real:
+    """A column as numbers, NaN where it has none; what is none, or a sigma not above 0, goes to `faults`."""
+    numbers = np.full(len(rows), np.nan)
+    for at, (line, row) in enumerate(rows):
+        cell = row[column].strip()
+        try:
+            numbers[at] = float(cell)
+        except ValueError:
+            comma = re.fullmatch(r"[-+]?\d+,\d+", cell)
+            mend = "a decimal comma: write a point" if comma else "remove the row, or fill it in"
+            faults.append(InputError(f"{name}: line {line}: {column}", cell, "a number", mend))
+            continue
+        if not math.isfinite(numbers[at]):
+            faults.append(InputError(f"{name}: line {line}: {column}", cell, "a finite number", "remove the row"))
+        elif column == "sigma" and numbers[at] <= 0.0:
+            mend = "give the standard deviation of the value; repeat the measurement to learn it"
+            faults.append(InputError(f"{name}: line {line}: sigma", numbers[at], "above 0", mend))
+    return numbers
+
+
+def _outside(
+    rows: Sequence[tuple[int, Row]], numbers: Mapping[str, Real], columns: tuple[str, ...], name: str
+) -> Iterator[InputError]:
+    """Wavelengths and angles out of range."""
+    for column in columns:
+        low, high = LIMITS[column]
+        for at in np.flatnonzero((numbers[column] < low) | (numbers[column] > high)).tolist():
+            number = float(numbers[column][at])
+            yield InputError(f"{name}: line {rows[at][0]}: {column}", number, f"{low:g} to {high:g}")
+    wavelengths = numbers.get("wavelength_nm", np.zeros(0))
+    if wavelengths.size and np.nanmax(wavelengths, initial=0.0) < 30.0:
+        value = f"up to {np.nanmax(wavelengths):g}"
+        yield InputError(f"{name}: wavelength_nm", value, "nanometres", "in um? multiply by 1000")
+
+
+def _wrong_unit(
+    rows: Sequence[tuple[int, Row]], value: Real, sigma: Real, quantity: Quantity, name: str
+) -> Iterator[InputError]:
+    """Values that the quantity cannot have; percent is told by name."""
+    if not value.size or not np.isfinite(value).any():
+        return
+    most = float(np.nanmax(value))
+    if quantity in ("R", "T"):
+        if most > PERCENT:
+            mend = f"{quantity} in percent? divide value and sigma by 100"
+            yield InputError(f"{name}: value", f"up to {most:g}", f"{quantity} in [0, 1]", mend)
+            return
+        beyond = np.maximum(BEYOND_UNITY, 5.0 * np.nan_to_num(sigma))
+    else:
+        beyond = np.zeros(value.size)
+    low, high = LIMITS[quantity]
+    for at in np.flatnonzero((value < low - beyond) | (value > high + beyond)).tolist():
+        allowed = f"{quantity} in [{low:g}, {high:g}]" + ("" if quantity in ("R", "T") else " deg")
+        yield InputError(f"{name}: line {rows[at][0]}: value", float(value[at]), allowed)
+
+
+def _duplicates(rows: Sequence[tuple[int, Row]], columns: tuple[str, ...], name: str) -> Iterator[InputError]:
+    """Rows that say the same place a second time."""
+    first: dict[tuple[float | str, ...], int] = {}
+    for line, row in rows:
+        key = tuple(_comparable(row[column].strip()) for column in columns)
+        if key in first:
+            place = ", ".join(row[column].strip() for column in columns)
+            mend = f"line {first[key]} has it already: average the two"
+            yield InputError(f"{name}: line {line}: duplicate", place, "each place once", mend)
+        first.setdefault(key, line)
+
+
+def _comparable(cell: str) -> float | str:
+    try:
+        return float(cell)
+    except ValueError:
+        return cell

@@ -1,0 +1,153 @@
+"""The nonlinear fit: Levenberg and Marquardt over whitened columns, the variance renewed with the prediction.
+
+Within an iteration the whitening is held, so chi2 before and after a step mean the same; a new whitening is made from
+each accepted prediction (letting the variance answer to the step would favour predictions with large variances). It
+has converged where the linear model expects less than 0.1 of chi2 to be gained and no pose would move by 0.001 px;
+that last step is then taken on the linear model, whose own error is of the next order.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from luxloop.errors import InputError
+from luxloop.model import Model
+from validation.fit.least_squares import Parameter, Reduced, Step, prior_chi2, reduce
+from validation.fit.parameters import CurveData, Discrepancy, free_paths, unknowns_of
+from validation.fit.problem import CurvePredictor, Evaluation, ImagePredictor, Problem
+from validation.fit.result import Fit, conclude
+from validation.fit.start import start_values
+from validation.fit.whitening import Whitening
+from validation.measured import MeasuredImage
+from validation.prediction import Anchored
+
+Real = NDArray[np.float64]
+
+GAP = 0.1  # chi2
+POSE_PX = 1e-3
+MAX_ITERATIONS = 40
+MAX_DAMPING = 1e6
+MAX_ANCHORS = 3
+ANCHOR_MOVE = 0.3  # of a parameter's error: further from its anchor, the anchor is renewed
+
+
+def fit(
+    model: Model,
+    images: Sequence[MeasuredImage],
+    predictor: ImagePredictor,
+    *,
+    free: Sequence[str] | None = None,
+    anchor_at: Callable[[Model], Anchored | None] | None = None,
+    curves: Sequence[CurveData] = (),
+    predict_curves: CurvePredictor | None = None,
+    others: Sequence[Parameter] = (),
+    discrepancies: Sequence[Discrepancy] = (),
+    start: Mapping[str, float] | None = None,
+) -> Fit:
+    """The best fit of the model to images and curves.
+
+    `free`: paths of the model that move; none: those that its [fit] tables free; (): nothing but gains, offsets,
+    poses and scales, as `compare` does. `others`: parameters that only curves know (films), their values in `start`,
+    where any other value to start from may stand too. `anchor_at`: gives the Monte Carlo anchor at a model; it is
+    asked after the twin has been fitted, and again where the fit has moved away from it.
+
+    Raises InputError where there is nothing to fit, or a path has no limits.
+    """
+    if not images and not curves:
+        raise InputError("shots", 0, "at least one image or curve", "see luxloop dataset check")
+    paths = free_paths(model) if free is None else tuple(free)
+    unknowns = unknowns_of(model, paths, images, curves, others, discrepancies)
+    lent = Anchored(model, 0) if images and paths else None  # the start's chip exits stand for all: chi2 is smooth
+    problem = Problem(
+        model, unknowns, tuple(images), predictor, tuple(curves), predict_curves, tuple(discrepancies), lent
+    )
+    found = _unclipped(problem, start_values(problem, start or {}))
+    for _ in range(MAX_ANCHORS if anchor_at is not None and images else 0):
+        anchor = anchor_at(found.model) if anchor_at is not None else None
+        if anchor is None:
+            break
+        anchored = replace(found.problem, anchor=replace(anchor, poses=tuple(found.poses.values())))
+        at_anchor, found = found, _unclipped(anchored, found.values, found.iterations)
+        if _moved(found, at_anchor, paths) < ANCHOR_MOVE:
+            break
+    return found
+
+
+def _unclipped(problem: Problem, values: Real, done: int = 0) -> Fit:
+    """The optimum, without pixels whose mean of several frames may hide a clipped one (their mean is too low)."""
+    found = _descend(problem, values, done)
+    images = []
+    for image, signal_dn in zip(problem.images, found.signals_dn, strict=True):
+        used = image.used & ~image.may_be_clipped(signal_dn)
+        images.append(image if used.sum() in (0, image.used.sum()) else replace(image, used=used))
+    if all(new is old for new, old in zip(images, problem.images, strict=True)):
+        return found
+    return _descend(replace(problem, images=tuple(images)), found.values, found.iterations)
+
+
+def _descend(problem: Problem, values: Real, done: int = 0) -> Fit:
+    """Iterates from `values` to the optimum, or as far as it goes."""
+    evaluation, damping = problem.evaluate(values), 0.0
+    for iteration in range(done, done + MAX_ITERATIONS):
+        white, reduced, columns = linearised(evaluation)
+        last = reduced.step()
+        if has_converged(problem, reduced, last):
+            return conclude(evaluation, white, reduced, columns, last, iteration, converged=True)
+        stepped, damping = _step_down(evaluation, white, reduced, damping)
+        if stepped is None:  # no step lowers chi2: the prediction and its derivatives disagree
+            break
+        evaluation = stepped
+    white, reduced, columns = linearised(evaluation)
+    return conclude(evaluation, white, reduced, columns, reduced.step(), iteration + 1, converged=False)
+
+
+def linearised(evaluation: Evaluation, white: Whitening | None = None) -> tuple[Whitening, Reduced, Real]:
+    """The whitening (that of the point, or a given one), the reduced linear problem and its whitened columns."""
+    white = white or evaluation.whitening()
+    columns = evaluation.columns(white)
+    parameters = evaluation.problem.unknowns.parameters
+    return white, reduce(columns, evaluation.residual(white), parameters, evaluation.values), columns
+
+
+def has_converged(problem: Problem, reduced: Reduced, last: Step) -> bool:
+    """Whether nothing worth having is left to gain."""
+    return reduced.chi2 - last.chi2 < GAP and pose_move_px(problem, last.change) < POSE_PX
+
+
+def pose_move_px(problem: Problem, change: Real) -> float:
+    """How far a change moves any pixel of any image; a turn moves the corners most."""
+    by_name = problem.unknowns.named(change)
+    moves = [0.0]
+    for image in problem.images:
+        shot, corner_px = image.shot.id, np.hypot(*image.signal_dn.shape) / 2.0
+        moves.append(np.hypot(by_name[f"{shot}.shift_row_px"], by_name[f"{shot}.shift_column_px"]))
+        moves.append(np.radians(abs(by_name[f"{shot}.rotation_deg"])) * corner_px)
+    return float(max(moves))
+
+
+def _step_down(
+    evaluation: Evaluation, white: Whitening, reduced: Reduced, damping: float
+) -> tuple[Evaluation | None, float]:
+    """The next evaluation whose chi2, under the same whitening, is lower; and the damping for the one after."""
+    problem = evaluation.problem
+    while damping <= MAX_DAMPING:
+        step = reduced.step(damping, short=True)
+        trial = problem.evaluate(problem.unknowns.within(evaluation.values + step.change))
+        residual = trial.residual(white)
+        chi2 = float(residual @ residual) + prior_chi2(problem.unknowns.parameters, trial.values)
+        if chi2 <= reduced.chi2 + 1e-9 * abs(reduced.chi2):
+            return trial, 0.0 if damping < 1e-4 else damping / 10.0
+        damping = max(10.0 * damping, 1e-3)
+    return None, damping
+
+
+def _moved(found: Fit, before: Fit, paths: Sequence[str]) -> float:
+    """The largest move of a model parameter, in its own errors."""
+    moves = [
+        abs(found.value(path) - before.value(path)) / found.error(path) for path in paths if found.error(path) > 0.0
+    ]
+    return max(moves, default=0.0)

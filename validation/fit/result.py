@@ -1,0 +1,183 @@
+"""What a fit found, how sure it is, and whether it may be trusted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from luxloop.model import Model
+from validation.fit.least_squares import WORST_CONDITION, Basis, Reduced, Step, basis
+from validation.fit.parameters import gain_of, pose_of
+from validation.fit.problem import Evaluation, Problem
+from validation.fit.whitening import Whitening, variance_scale
+from validation.prediction import Pose
+
+Real = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A fit at its optimum. Rows are whitened: used pixels of image 0, of image 1, ..., then rows of the curves."""
+
+    problem: Problem
+    model: Model
+    values: Real
+    whitening: Whitening
+    reduced: Reduced
+    active: Mask  # parameters neither at a limit nor unseen
+    columns: Real  # (parameter, row), whitened
+    noise: Real  # (column, row), whitened: the Monte Carlo's own noise, each times a unit normal number
+    residual: Real  # (row,), whitened
+    signals_dn: tuple[Real, ...]  # expected, by image
+    covariance: Real
+    chi2: float  # of the data
+    freedom: float  # data rows less what the fit takes from them
+    variance_scale: float
+    iterations: int
+    gap: float  # of chi2, that the last step still found
+    converged: bool
+    at_limit: tuple[str, ...]
+    distrust: tuple[str, ...]  # reasons, empty where the fit may be trusted
+
+    @property
+    def trusted(self) -> bool:
+        """Whether its verdicts may be used."""
+        return not self.distrust
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The parameters in their order."""
+        return self.problem.unknowns.names
+
+    def value(self, name: str) -> float:
+        """The value of a parameter."""
+        return float(self.values[self.names.index(name)])
+
+    def error(self, name: str) -> float:
+        """Its standard error; 0 for one held at a limit, inf for one that nothing in the data holds."""
+        index = self.names.index(name)
+        return float(np.sqrt(self.covariance[index, index]))
+
+    @property
+    def correlation(self) -> Real:
+        """Correlations of all parameters; 0 beside one that has no error."""
+        sd = np.sqrt(np.diag(self.covariance))
+        some = np.where((sd > 0.0) & np.isfinite(sd), sd, np.inf)
+        finite = np.where(np.isfinite(self.covariance), self.covariance, 0.0)
+        return np.asarray(finite / np.outer(some, some) + np.diag(np.isinf(some).astype(float)))
+
+    @cached_property
+    def basis(self) -> Basis:
+        """What the fit takes out of noise: needed by every test of what is left."""
+        return basis(self.columns, self.reduced, self.active)
+
+    @cached_property
+    def residual_images(self) -> list[Real]:
+        """Whitened residual of each image, zero where unused."""
+        return self.whitening.unfold(self.residual[: self.whitening.count])
+
+    @property
+    def poses(self) -> dict[str, Pose]:
+        """Poses by shot."""
+        by_name = self.problem.unknowns.named(self.values)
+        return {image.shot.id: pose_of(image, by_name) for image in self.problem.images}
+
+    @property
+    def gains(self) -> dict[str, float]:
+        """DN per 1/mm^2, by shot."""
+        by_name = self.problem.unknowns.named(self.values)
+        return {image.shot.id: gain_of(image, by_name) for image in self.problem.images}
+
+    @property
+    def offsets_dn(self) -> dict[str, float]:
+        """Offsets by shot."""
+        return {image.shot.id: self.value(f"{image.shot.id}.offset_dn") for image in self.problem.images}
+
+    @property
+    def chi2_per_row(self) -> float:
+        """Chi2 over its degrees of freedom: 1 where nothing but noise is left."""
+        return self.chi2 / self.freedom
+
+
+def conclude(
+    evaluation: Evaluation,
+    white: Whitening,
+    reduced: Reduced,
+    columns: Real,
+    last: Step,
+    iterations: int,
+    converged: bool,
+) -> Fit:
+    """The result where a fit stopped; where it converged, the last step is taken on the linear model."""
+    change = last.change if converged else np.zeros_like(last.change)
+    values = evaluation.problem.unknowns.within(evaluation.values + change)
+    residual = evaluation.residual(white) - change @ columns
+    active = ~last.at_limit & ~reduced.blind
+    taken, noise = basis(columns, reduced, active), evaluation.noise_columns(white)
+    chi2, freedom = float(residual @ residual), len(residual) - taken.taken
+    scale = variance_scale(chi2, freedom)
+    names = evaluation.problem.unknowns.names
+    at_limit = tuple(name for name, held in zip(names, last.at_limit, strict=True) if held)
+    gap = max(0.0, reduced.chi2 - last.chi2)
+    return Fit(
+        problem=evaluation.problem,
+        model=evaluation.problem.unknowns.model(evaluation.problem.model, values),
+        values=values,
+        whitening=white,
+        reduced=reduced,
+        active=active,
+        columns=columns,
+        noise=noise,
+        residual=residual,
+        signals_dn=tuple(evaluation.signals_dn(change)),
+        covariance=_covariance(reduced, columns, noise, scale, active),
+        chi2=chi2,
+        freedom=freedom,
+        variance_scale=scale,
+        iterations=iterations,
+        gap=gap,
+        converged=converged,
+        at_limit=at_limit,
+        distrust=tuple(_reasons(evaluation.problem, reduced, active, at_limit, gap, converged, freedom)),
+    )
+
+
+def _covariance(reduced: Reduced, columns: Real, noise: Real, scale: float, active: Mask) -> Real:
+    """Of the parameters: from the camera's noise, plus what the Monte Carlo's own noise does to them."""
+    camera = reduced.covariance(scale, active)
+    if not len(noise):
+        return camera
+    finite = np.where(np.isfinite(camera), camera, 0.0)
+    moved = finite @ (columns @ noise.T) / scale
+    return np.asarray(camera + moved @ moved.T)
+
+
+def _reasons(
+    problem: Problem,
+    reduced: Reduced,
+    active: Mask,
+    at_limit: tuple[str, ...],
+    gap: float,
+    converged: bool,
+    freedom: float,
+) -> list[str]:
+    """Why a fit may not be trusted, one sentence each."""
+    reasons = []
+    known = {parameter.name: parameter for parameter in problem.unknowns.parameters}
+    for name in at_limit:
+        low, high = known[name].lower, known[name].upper
+        reasons.append(f"{name} is at its limit ({low:g} to {high:g}); widen the limits or add what is missing")
+    if not converged:
+        reasons.append(f"the fit has not converged: {gap:.3g} of chi2 is still to be gained; start nearer")
+    for name, blind in zip(problem.unknowns.names, reduced.blind, strict=True):
+        if blind:
+            reasons.append(f"nothing measured depends on {name}; fix it or give it a prior")
+    if (condition := reduced.condition(active)) > WORST_CONDITION:
+        reasons.append(f"two parameters are the same to these data (condition {condition:.1e}); fix one of them")
+    if freedom <= 0.0:
+        reasons.append("there are no more measured values than parameters; measure more or free less")
+    return reasons

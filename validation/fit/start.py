@@ -1,0 +1,88 @@
+"""Where a fit starts: the module found to a pixel by correlation, gain and offset by a straight line."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import fftconvolve
+
+from validation.fit.parameters import tied
+from validation.fit.problem import Problem
+from validation.measured import MeasuredImage
+
+Real = NDArray[np.float64]
+
+FURTHEST = 0.25  # of the image's side: how far from its first guess the module is looked for
+
+
+def start_values(problem: Problem, given: Mapping[str, float]) -> Real:
+    """Values to start from: those of the model, those given, and for each image what a first look at it says."""
+    names = problem.unknowns.names
+    leaves = problem.model.leaves()
+    values = dict.fromkeys(names, 0.0) | {path: float(leaves[path]) for path in problem.unknowns.model_paths}
+    values |= {name: 1.0 for name in names if name == "gain" or name.endswith((".gain", ".scale"))}
+    values |= {name: value for name, value in given.items() if name in values}
+    if not problem.images:
+        return _with_scales(problem, _vector(problem, values), given)
+    first = problem.evaluate(_vector(problem, values))
+    for image, predicted in zip(problem.images, first.predicted, strict=True):
+        shot = image.shot.id
+        if f"{shot}.shift_row_px" not in given:
+            row, column = coarse_shift_px(image, predicted.irradiance_per_mm2)
+            values[f"{shot}.shift_row_px"], values[f"{shot}.shift_column_px"] = float(row), float(column)
+    second = problem.evaluate(_vector(problem, values))
+    lines = [
+        _line(image, predicted.irradiance_per_mm2)
+        for image, predicted in zip(problem.images, second.predicted, strict=True)
+    ]
+    per_ms = [gain / image.shot.exposure_ms for image, (gain, _) in zip(problem.images, lines, strict=True)]
+    found = {"gain": float(np.median(per_ms))} if any(tied(image) for image in problem.images) else {}
+    for image, (gain, offset) in zip(problem.images, lines, strict=True):
+        found |= {f"{image.shot.id}.gain": gain, f"{image.shot.id}.offset_dn": offset}
+    values |= {name: value for name, value in found.items() if name in values and name not in given}
+    return _with_scales(problem, _vector(problem, values), given)
+
+
+def coarse_shift_px(image: MeasuredImage, predicted: Real) -> tuple[int, int]:
+    """How many whole pixels (row, column) the prediction must move to lie best on the image."""
+    measured = np.where(image.used, image.signal_dn - image.signal_dn[image.used].mean(), 0.0)
+    overlap = fftconvolve(measured, (predicted - predicted.mean())[::-1, ::-1], mode="same")
+    rows, columns = overlap.shape
+    near_row, near_column = max(1, int(FURTHEST * rows)), max(1, int(FURTHEST * columns))
+    middle = ((rows - 1) // 2, (columns - 1) // 2)
+    window = overlap[
+        middle[0] - min(near_row, middle[0]) : middle[0] + near_row + 1,
+        middle[1] - min(near_column, middle[1]) : middle[1] + near_column + 1,
+    ]
+    row, column = np.unravel_index(int(np.argmax(window)), window.shape)
+    return int(row) - min(near_row, middle[0]), int(column) - min(near_column, middle[1])
+
+
+def _line(image: MeasuredImage, predicted: Real) -> tuple[float, float]:
+    """Gain and offset of the straight line from prediction to image; the gain is kept above zero."""
+    x, y = predicted[image.used], image.signal_dn[image.used]
+    spread = float(np.sum((x - x.mean()) ** 2))
+    gain = float(np.sum((x - x.mean()) * (y - y.mean()))) / spread if spread > 0.0 else 0.0
+    if gain <= 0.0:  # the shape does not fit at all: begin with the level
+        gain = max(float(y.mean()), 1.0) / max(float(x.mean()), 1e-300)
+    return gain, float(y.mean() - gain * x.mean())
+
+
+def _with_scales(problem: Problem, values: Real, given: Mapping[str, float]) -> Real:
+    """The scale of each curve that has one, by least squares."""
+    free = [curve for curve in problem.curves if curve.free_scale and f"{curve.id}.scale" not in given]
+    if not free:
+        return values
+    by_name = problem.unknowns.named(values)
+    predictions = problem.evaluate(values).predicted_curves
+    for curve, predicted in zip(problem.curves, predictions, strict=True):
+        if curve in free:
+            weight = predicted.value / curve.sigma**2
+            by_name[f"{curve.id}.scale"] = float(weight @ curve.value / (weight @ predicted.value))
+    return _vector(problem, by_name)
+
+
+def _vector(problem: Problem, values: Mapping[str, float]) -> Real:
+    return np.array([values[name] for name in problem.unknowns.names])

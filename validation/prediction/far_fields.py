@@ -1,0 +1,81 @@
+"""Far fields of modules, by Monte Carlo at the ray-tracing worker."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from luxloop.errors import InputError
+from luxloop.ray import RayRequest
+from validation.prediction.differences import moved_models
+from validation.prediction.images import FilmOf, module_of
+from validation.prediction.words import FarView, PredictedCurve, Real
+
+if TYPE_CHECKING:
+    from luxloop.client import Answer
+    from luxloop.model import Model
+
+Ask = Callable[[Sequence[RayRequest]], "list[Answer]"]
+
+HISTORIES = 4_000_000
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What is to be predicted of far fields at a model."""
+
+    model: Model
+    paths: tuple[str, ...]
+    histories: int
+    seed: int
+    film_of: FilmOf
+
+
+def predict(wanted: Wanted, views: Sequence[FarView], ask: Ask) -> list[PredictedCurve]:
+    """The far field of each view's module: the light on its first way to the receiver, 1/sr per flux of a chip.
+
+    Interpolated between the middles of the worker's bins, equal in cos(theta) and phi; beyond the outer middles the
+    last bin's value.
+    """
+    for view in views:
+        if np.any((view.theta_deg < 0.0) | (view.theta_deg > 90.0)):
+            raise InputError("theta_deg", float(view.theta_deg.max()), "0 to 90, from the normal", "front side only")
+    moves = [(path, *moved) for path in wanted.paths for moved in moved_models(wanted.model, path)]
+    models = [wanted.model, *(moved for *_, moved in moves)]
+    answers = iter(ask([_request(wanted, model, view) for view in views for model in models]))
+    found = []
+    for view in views:
+        at = next(answers)
+        columns = {path: np.zeros(len(view.theta_deg)) for path in wanted.paths}
+        for path, weight, _ in moves:
+            columns[path] += weight * _seen(next(answers), view, "far_module_per_sr")
+        error = _seen(at, view, "far_module_error_per_sr")
+        found.append(PredictedCurve(_seen(at, view, "far_module_per_sr"), columns, error))
+    return found
+
+
+def _request(wanted: Wanted, model: Model, view: FarView) -> RayRequest:
+    return RayRequest(
+        **module_of(model, view.sample, wanted.film_of),
+        histories=wanted.histories,
+        budget_s=86_400.0,
+        seed=str(wanted.seed),
+        far_field=True,
+    )
+
+
+def _seen(answer: Answer, view: FarView, name: str) -> Real:
+    """An array (cos theta, phi) of a far field, upper half, in the directions of a view."""
+    bins = np.asarray(answer.arrays[name], np.float64)
+    rows, columns = bins.shape
+    row = np.clip(np.cos(np.radians(view.theta_deg)) * rows - 0.5, 0.0, rows - 1.0)
+    column = (view.phi_deg % 360.0) / 360.0 * columns - 0.5
+    up, across = np.minimum(row.astype(int), rows - 2), np.floor(column).astype(int)
+    t, s = row - up, column - across
+    left, right = (bins[:, (across + k) % columns] for k in (0, 1))
+    place = np.arange(len(up))
+    low, high = ((1.0 - s) * left[up + k, place] + s * right[up + k, place] for k in (0, 1))
+    return np.asarray((1.0 - t) * low + t * high)

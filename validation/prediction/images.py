@@ -1,0 +1,225 @@
+"""Images as requests to the ray-tracing worker, and its answers as images again.
+
+Views of one size are one request, so that six images cost one round trip. Derivatives are further requests, under
+way at once: parameters by which the worker differentiates are its columns, others are moved models, shot by shot.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from luxloop.camera import Camera
+from luxloop.errors import InputError
+from luxloop.ray import AnchorRequest, ChipArray, PredictionRequest, RayRequest, ShotRequest
+from validation.prediction.differences import moved_models
+from validation.prediction.words import POSE_COLUMNS, Anchored, Pose, Predicted, Real, View
+
+if TYPE_CHECKING:
+    from luxloop.client import Answer
+    from luxloop.model import Model
+    from luxloop.ray import Film
+    from validation.dataset.manifest import Sample
+
+FilmOf = Callable[["Model", float], "Film | None"]
+Ask = Callable[[Sequence[PredictionRequest]], "list[Answer]"]
+
+COLUMNS: dict[str, tuple[str, float]] = {
+    "environment.substrate.reflectance": ("substrate_reflectance", 1.0),
+    "environment.substrate.sigma_deg": ("substrate_sigma_rad", math.pi / 180.0),
+    "environment.receiver.reflectance": ("receiver_reflectance", 1.0),
+    "environment.chip_absorption_per_cm": ("absorption_per_um", 1e-4),
+}
+"""The worker's column for a path, and that column's unit in the path's own."""
+MOST_SHOTS, MOST_VALUES = 64, 1 << 24
+"""Of one request, and of its answer: half of what the worker allows."""
+ANCHOR_FUNCTIONS = 200
+JACOBIAN_EXITS = 65_536
+"""Whose exits columns are taken with, half of an image's: they err by 2 to 4 % of a column instead of 1 to 3."""
+DIFFERENCE_EXITS = 262_144
+"""Of moved models: each has a walk of its own, and more noise."""
+
+
+class _Move(NamedTuple):
+    """A view of a moved model, and its weight in the derivative by a path."""
+
+    path: str
+    weight: float
+    model: Model
+    view: int
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What is to be predicted of views at a model."""
+
+    model: Model
+    paths: tuple[str, ...]
+    anchor: Anchored | None
+    film_of: FilmOf
+
+    @property
+    def poses(self) -> tuple[str, ...]:
+        """Those of a pose, by which an image's own map is differentiated."""
+        return tuple(path for path in self.paths if path in POSE_COLUMNS)
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Others by which the worker differentiates."""
+        return tuple(path for path in self.paths if path in COLUMNS)
+
+    @property
+    def differences(self) -> tuple[str, ...]:
+        """All others: by differences of moved models."""
+        return tuple(path for path in self.paths if path not in COLUMNS and path not in POSE_COLUMNS)
+
+
+def predict(wanted: Wanted, views: Sequence[View], ask: Ask) -> list[Predicted]:
+    """The images of views, in their order."""
+    at, times = wanted.anchor, 1 + len(wanted.paths)
+    if at is not None and at.poses and len(at.poses) != len(views):
+        raise InputError("anchor.poses", len(at.poses), f"{len(views)}, one for each view, or none")
+    groups = list(_groups(views, times + ANCHOR_FUNCTIONS * (at is not None)))
+    moves = list(_moves(wanted, views))
+    further = list(_groups([views[move.view] for move in moves], 1))
+    requests = [_image_request(wanted, views, group) for group in groups]
+    requests += [_column_request(wanted, views, group) for group in groups if wanted.columns]
+    requests += [_difference_request(wanted, views, [moves[n] for n in some]) for some in further]
+    answers = iter(ask(requests))
+    found: dict[int, Predicted] = {}
+    for group in groups:
+        found |= dict(zip(group, _images(wanted, next(answers)), strict=True))
+    for group in groups if wanted.columns else ():
+        for number, columns in zip(group, _columns(wanted.columns, next(answers)), strict=True):
+            found[number].jacobian_per_mm2.update(columns)
+    for some in further:
+        for n, image in zip(some, next(answers).arrays["images_per_mm2"], strict=True):
+            columns = found[moves[n].view].jacobian_per_mm2
+            columns[moves[n].path] = columns.get(moves[n].path, 0.0) + moves[n].weight * _real(image)
+    return [found[number] for number in range(len(views))]
+
+
+def simulation(model: Model, view: View, histories: int, seed: int, number: int, film_of: FilmOf) -> RayRequest:
+    """The request for a view by Monte Carlo; a seed gives every number its own random numbers."""
+    drawn = np.random.SeedSequence((seed, number)).generate_state(1, np.uint64)[0]
+    return RayRequest(
+        **module_of(model, view.sample, film_of),
+        histories=histories,
+        budget_s=86_400.0,
+        seed=str(int(drawn) % 10**18),
+        images=(camera_of(view, view.pose),),
+    )
+
+
+def simulated(answer: Answer) -> Predicted:
+    """The image of such an answer: at a gain of 1 digital numbers are the irradiance."""
+    return Predicted(_real(answer.arrays["image_0"]), {})
+
+
+def module_of(model: Model, sample: Sample, film_of: FilmOf) -> dict[str, Any]:
+    """The finite module of a sample in a model, as requests have it."""
+    chips = (
+        {"rows": sample.rows, "columns": sample.columns} if sample.layout == "array" else {"rows": 1, "columns": 1}
+    )
+    return {
+        "environment": model.environment,
+        "design": sample.design,
+        "film": film_of(model, sample.dbr_pairs),
+        "effects": model.effects,
+        "array": ChipArray(**chips, half_um=sample.half_um),
+    }
+
+
+def camera_of(view: View, pose: Pose) -> Camera:
+    """The camera of a view."""
+    return Camera(
+        rows=view.rows,
+        columns=view.columns,
+        pixel_um=view.pixel_um,
+        centre_px=view.centre_px,
+        shift_px=pose.shift_px,
+        rotation_deg=pose.rotation_deg,
+    )
+
+
+def _shot(model: Model, view: View, film_of: FilmOf) -> ShotRequest:
+    return ShotRequest(**module_of(model, view.sample, film_of), camera=camera_of(view, view.pose))
+
+
+def _image_request(wanted: Wanted, views: Sequence[View], group: Sequence[int]) -> PredictionRequest:
+    """Views of one size, anchored where that is wanted."""
+    shots = tuple(_shot(wanted.model, views[number], wanted.film_of) for number in group)
+    if wanted.anchor is None:
+        return PredictionRequest(shots=shots, columns=wanted.poses)
+    at = wanted.anchor
+    poses = at.poses or [Pose()] * len(views)
+    seen = [replace(views[number], pose=poses[number]) for number in group]
+    anchored = tuple(_shot(at.model, view, wanted.film_of) for view in seen)
+    anchor = AnchorRequest(shots=anchored, histories=at.histories, seed=str(at.seed))
+    return PredictionRequest(shots=shots, columns=wanted.poses, anchor=anchor)
+
+
+def _column_request(wanted: Wanted, views: Sequence[View], group: Sequence[int]) -> PredictionRequest:
+    """The derivatives of the same views: differences of the twin's images, with the exits of the anchor's chips."""
+    columns = tuple(COLUMNS[path][0] for path in wanted.columns)
+    shots = tuple(_shot(wanted.model, views[number], wanted.film_of) for number in group)
+    anchor = None
+    if wanted.anchor is not None:
+        lent = tuple(_shot(wanted.anchor.model, views[number], wanted.film_of) for number in group)
+        anchor = AnchorRequest(shots=lent, histories=0)
+    return PredictionRequest(shots=shots, columns=columns, anchor=anchor, exit_histories=JACOBIAN_EXITS)
+
+
+def _difference_request(wanted: Wanted, views: Sequence[View], moves: Sequence[_Move]) -> PredictionRequest:
+    """The images of moved models."""
+    shots = tuple(_shot(move.model, _about(views[move.view]), wanted.film_of) for move in moves)
+    return PredictionRequest(shots=shots, exit_histories=DIFFERENCE_EXITS)
+
+
+def _about(view: View) -> View:
+    """The view from a pose rounded to half a pixel and a tenth of a degree, so that steps of a fit ask the same."""
+    row, column = (round(2.0 * shift) / 2.0 for shift in view.pose.shift_px)
+    return replace(view, pose=Pose((row, column), round(view.pose.rotation_deg, 1)))
+
+
+def _images(wanted: Wanted, answer: Answer) -> Iterator[Predicted]:
+    """The images of one answer, in the order of its shots."""
+    arrays, columns = answer.arrays, _columns(wanted.poses, answer)
+    for shot, image in enumerate(arrays["images_per_mm2"]):
+        noise = _real(arrays["noise_per_mm2"][:, shot]) if len(arrays.get("noise_per_mm2", ())) else None
+        yield Predicted(_real(image), next(columns), noise)
+
+
+def _columns(paths: Sequence[str], answer: Answer) -> Iterator[dict[str, Real]]:
+    """Each shot's derivatives by these paths, each in the path's own unit."""
+    for shot in range(len(answer.arrays["images_per_mm2"])):
+        yield {
+            path: COLUMNS.get(path, (path, 1.0))[1] * _real(answer.arrays["jacobian_per_mm2"][number, shot])
+            for number, path in enumerate(paths)
+        }
+
+
+def _moves(wanted: Wanted, views: Sequence[View]) -> Iterator[_Move]:
+    """All views of all models that were moved; about the anchor's, where there is one: asked for once in a fit."""
+    at = wanted.model if wanted.anchor is None else wanted.anchor.model
+    for path in wanted.differences:
+        for weight, model in moved_models(at, path):
+            yield from (_Move(path, weight, model, number) for number in range(len(views)))
+
+
+def _groups(views: Sequence[View], times: int) -> Iterator[list[int]]:
+    """Numbers of views of one size, as many together as a request and its answer hold."""
+    sizes: dict[tuple[int, int], list[int]] = {}
+    for number, view in enumerate(views):
+        sizes.setdefault((view.rows, view.columns), []).append(number)
+    for (rows, columns), numbers in sizes.items():
+        most = max(1, min(MOST_SHOTS, MOST_VALUES // (rows * columns * times)))
+        yield from (numbers[first : first + most] for first in range(0, len(numbers), most))
+
+
+def _real(array: Any) -> Real:
+    return np.asarray(array, np.float64)

@@ -1,0 +1,101 @@
+"""Predictions of images, spectra and far fields through one client."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from luxloop.errors import RemoteError
+from validation.prediction import far_fields, images, spectra
+from validation.prediction.film_tables import FilmTables
+from validation.prediction.words import Anchored, Asks, Curve, FarView, Predicted, PredictedCurve, View
+
+if TYPE_CHECKING:
+    from luxloop.client import Answer
+    from luxloop.model import Model
+
+T = TypeVar("T")
+Heard = Callable[[int, int], None]
+
+LIMIT_S = 86_400.0
+"""Of one attempt: an anchor of many histories takes long."""
+
+
+class Predictor:
+    """What asks the workers; film tables are remembered, so keep one for a session."""
+
+    def __init__(self, client: Asks) -> None:
+        self._client, self._films = client, FilmTables(client)
+
+    def images(
+        self, model: Model, views: Sequence[View], paths: Sequence[str] = (), anchor: Anchored | None = None
+    ) -> list[Predicted]:
+        """The expected images of views, in their order.
+
+        Parameters
+        ----------
+        paths : parameters of the model, and names of `POSE_COLUMNS`, to differentiate by.
+        anchor : where Monte Carlo is run; none: the twin alone. Derivatives by parameters that no worker
+            differentiates (all but reflectances, the substrate's sigma, absorption and poses) are then those there.
+
+        Raises
+        ------
+        InputError : a path that is not in the model or cannot move.
+        RemoteError : what a worker refuses, with the field of its shot.
+        """
+        wanted = images.Wanted(model, tuple(paths), anchor, self._films.of)
+        return self._again(lambda: images.predict(wanted, views, self._answers))
+
+    def monte_carlo(
+        self, model: Model, views: Sequence[View], histories: int, seed: int, heard: Heard | None = None
+    ) -> list[Predicted]:
+        """The images of views by Monte Carlo alone, each with random numbers of its own: what a truth is made of.
+
+        Parameters
+        ----------
+        histories : for each view, at least so many.
+        heard : told how many of how many views are done.
+        """
+
+        def ask() -> list[Predicted]:
+            requests = [images.simulation(model, v, histories, seed, n, self._films.of) for n, v in enumerate(views)]
+            return [images.simulated(answer) for answer in self._answers(requests, heard)]
+
+        return self._again(ask)
+
+    def spectra(self, model: Model, curves: Sequence[Curve], paths: Sequence[str] = ()) -> list[PredictedCurve]:
+        """The expected spectra of films; paths are "films.ID.layers.N.thickness_nm", ".a" or ".b_um2"."""
+        return spectra.predict(model, curves, tuple(paths), self._answers)
+
+    def far_fields(
+        self,
+        model: Model,
+        views: Sequence[FarView],
+        paths: Sequence[str] = (),
+        histories: int = far_fields.HISTORIES,
+        seed: int = 1,
+    ) -> list[PredictedCurve]:
+        """The far fields of modules by Monte Carlo, per flux of a chip; derivatives have common random numbers."""
+        wanted = far_fields.Wanted(model, tuple(paths), histories, seed, self._films.of)
+        return self._again(lambda: far_fields.predict(wanted, views, self._answers))
+
+    def _answers(self, requests: Sequence[Any], heard: Heard | None = None) -> list[Answer]:
+        """The answers to requests, in their order; the first failure is raised."""
+        found: dict[int, Answer] = {}
+        for number, answer in self._client.map(requests, limit_s=LIMIT_S):
+            if isinstance(answer, RemoteError):
+                raise answer
+            found[number] = answer
+            if heard is not None:
+                heard(len(found), len(requests))
+        return [found[number] for number in range(len(requests))]
+
+    def _again(self, ask: Callable[[], T]) -> T:
+        """What was asked; once more where a film table has gone with its worker."""
+        try:
+            return ask()
+        except RemoteError as error:
+            if error.failure.code != "not_found":
+                raise
+        self._films.forget()
+        return ask()

@@ -1,0 +1,157 @@
+"""Spectra and ellipsometric curves of films, asked of the thin-film worker."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from luxloop.errors import InputError
+from luxloop.film import FilmMeasurementRequest
+from luxloop.stack import Layer, Medium, Stack
+from luxloop.words import parse
+from validation.dataset.manifest import FilmLayer, FilmSample
+from validation.prediction.differences import stencil, step_of
+from validation.prediction.words import Curve, PredictedCurve, Real
+
+if TYPE_CHECKING:
+    from luxloop.client import Answer
+    from luxloop.model import Model
+
+Ask = Callable[[Sequence[FilmMeasurementRequest]], "list[Answer]"]
+
+CAUCHY = ("a", "b_um2")
+THICKNESS_SHARE = 1e-5
+"""Of a thickness, where that is more than its step of 0.1 nm: a thick layer is known to nothing better."""
+
+
+def stack_of(film: FilmSample) -> Stack:
+    """A film as the hall has it, from the bulk behind it towards the light; a manifest begins with the light."""
+    layers = tuple(
+        Layer(medium=_medium(layer), thickness_nm=layer.thickness_nm, coherent=layer.coherent)
+        for layer in reversed(film.layers)
+    )
+    return Stack(inside=_named(film.exit), layers=layers, outside=_named(film.incident))
+
+
+def predict(model: Model, curves: Sequence[Curve], paths: tuple[str, ...], ask: Ask) -> list[PredictedCurve]:
+    """The curves, in their order; by a path of another film than the curve's it has derivative 0."""
+    known = [f"films.{curve.film.id}." for curve in curves]
+    for path in paths:
+        if not any(path.startswith(prefix) for prefix in known):
+            raise InputError(
+                "path", path, f"a path below {', '.join(sorted(set(known)))}", "name a film of the curves"
+            )
+    asked = [(curve, [("", 1.0, curve), *_moved(curve, paths)]) for curve in curves]
+    answers = iter(ask([request for _, some in asked for *_, one in some for _, request in _grids(one, model)]))
+    found = []
+    for curve, some in asked:
+        (_, _, at), *moved = some
+        value = _rows(at, model, answers)
+        columns = {path: np.zeros(value.size) for path in paths}
+        for path, weight, one in moved:  # weights sum up to 0, so differences to the value may be taken
+            columns[path] += weight * _near(_rows(one, model, answers) - value, curve.quantity)
+        found.append(PredictedCurve(value, columns))
+    return found
+
+
+def film_value(film: FilmSample, path: str) -> float:
+    """The value at "films.ID.layers.N.NAME" of a film. Raises InputError where there is none."""
+    number, name = _place(film, path)
+    layer = film.layers[number]
+    if name == "thickness_nm":
+        return layer.thickness_nm
+    if name in CAUCHY and layer.cauchy is not None:
+        return layer.cauchy[CAUCHY.index(name)]
+    raise InputError("path", path, "thickness_nm, or a, b_um2 of a cauchy layer", "luxloop dataset show lists them")
+
+
+def with_film_value(film: FilmSample, path: str, value: float) -> FilmSample:
+    """The film with another value at that path; a fit's limits are no limits here. InputError out of its range."""
+    film_value(film, path)
+    number, name = _place(film, path)
+    layer = film.layers[number]
+    changes: dict[str, Any] = {"thickness_nm": value}
+    if name in CAUCHY and layer.cauchy is not None:
+        changes = {"cauchy": (value, layer.cauchy[1]) if name == "a" else (layer.cauchy[0], value)}
+    moved = parse(FilmLayer, layer.model_dump(exclude={"free"}) | changes, path)
+    layers = (*film.layers[:number], moved.model_copy(update={"free": layer.free}), *film.layers[number + 1 :])
+    return film.model_copy(update={"layers": layers})
+
+
+def _place(film: FilmSample, path: str) -> tuple[int, str]:
+    """Number of the layer and name of the value that a path of a film leads to."""
+    found = re.fullmatch(r"layers\.(\d+)\.(\w+)", path.removeprefix(f"films.{film.id}."))
+    if found is None or int(found[1]) >= len(film.layers):
+        allowed = f"films.{film.id}.layers.N.NAME, N from 0 to {len(film.layers) - 1}, the incident side first"
+        raise InputError("path", path, allowed, "NAME is thickness_nm, a or b_um2")
+    return int(found[1]), found[2]
+
+
+def _moved(curve: Curve, paths: Sequence[str]) -> Iterator[tuple[str, float, Curve]]:
+    """The curve of films moved along each path that is one of its film."""
+    for path in paths:
+        if not path.startswith(f"films.{curve.film.id}."):
+            continue
+        value, film = film_value(curve.film, path), curve.film
+        step = step_of(path, 0.0)
+        step = max(step, THICKNESS_SHARE * value) if path.endswith("thickness_nm") else step
+        for weight, moved in stencil(partial(_along, film, path, value), step, path):
+            yield path, weight, replace(curve, film=moved)
+
+
+def _along(film: FilmSample, path: str, value: float, by: float) -> FilmSample:
+    return with_film_value(film, path, value + by)
+
+
+def _grids(curve: Curve, model: Model) -> Iterator[tuple[NDArray[np.intp], FilmMeasurementRequest]]:
+    """Requests for all rows of a curve, with the numbers of their rows: one for each polarisation."""
+    polarisation = np.array([one or "u" for one in curve.polarisation])
+    for one in np.unique(polarisation):
+        rows = np.flatnonzero(polarisation == one)
+        yield (
+            rows,
+            FilmMeasurementRequest(
+                stack=stack_of(curve.film),
+                effects=model.effects,
+                quantity=curve.quantity,
+                wavelength_nm=tuple(np.unique(curve.wavelength_nm[rows]).tolist()),
+                aoi_deg=tuple(np.unique(curve.aoi_deg[rows]).tolist()),
+                polarisation=str(one),
+                bandwidth_nm=curve.bandwidth_nm,
+            ),
+        )
+
+
+def _rows(curve: Curve, model: Model, answers: Iterator[Answer]) -> Real:
+    """The values of a curve's rows, out of the next answers."""
+    value = np.zeros(len(curve.wavelength_nm))
+    for rows, request in _grids(curve, model):
+        grid = np.asarray(next(answers).arrays["value"], np.float64)
+        wave = np.searchsorted(request.wavelength_nm, curve.wavelength_nm[rows])
+        aoi = np.searchsorted(request.aoi_deg, curve.aoi_deg[rows])
+        value[rows] = grid[wave, aoi]
+    return value
+
+
+def _near(difference: Real, quantity: str) -> Real:
+    """A difference of values; of delta the one within 180 deg."""
+    return (difference + 180.0) % 360.0 - 180.0 if quantity == "delta" else difference
+
+
+def _medium(layer: FilmLayer) -> Medium:
+    if layer.cauchy is not None:
+        return Medium(cauchy=layer.cauchy)
+    if layer.fixed is not None:
+        return Medium(n=layer.fixed[0], k=layer.fixed[1])
+    return _named(layer.material or "air")
+
+
+def _named(material: str) -> Medium:
+    """A material of the workers' tables; air is n = 1, as around chips."""
+    return Medium(n=1.0) if material == "air" else Medium(material=material)

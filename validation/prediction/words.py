@@ -1,0 +1,118 @@
+"""The words of predictions: what is looked at and from where, and what comes back."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from luxloop.client import Answer
+    from luxloop.errors import RemoteError
+    from luxloop.model import Model
+    from validation.dataset.manifest import FilmSample, Sample
+
+Real = NDArray[np.float64]
+
+POSE_COLUMNS = ("shift_row_px", "shift_column_px", "rotation_deg")
+"""Names of a pose's numbers among the columns of a Jacobian."""
+
+
+class Asks(Protocol):
+    """What a predictor needs of a client; `luxloop.client.Client` does it."""
+
+    def run(self, request: Any, *, fresh: bool = False) -> Answer:
+        """The answer to one request; RemoteError where there is none."""
+
+    def map(self, requests: Sequence[Any], *, limit_s: float) -> Iterable[tuple[int, Answer | RemoteError]]:
+        """(number, answer or failure) of each request, as they come in."""
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Where an image lies beside where it was said to lie."""
+
+    shift_px: tuple[float, float] = (0.0, 0.0)
+    """(row, column), in pixels of the view."""
+    rotation_deg: float = 0.0
+    """Of the image about the module's centre, x towards y."""
+
+
+@dataclass(frozen=True)
+class View:
+    """A camera in front of a sample; its pixels are binned ones where images were binned."""
+
+    sample: Sample
+    rows: int
+    columns: int
+    pixel_um: float
+    """Side of a pixel on the receiver."""
+    centre_px: tuple[float, float]
+    """(row, column) of the module's centre before the pose."""
+    pose: Pose = Pose()
+
+
+@dataclass(frozen=True)
+class Anchored:
+    """Where Monte Carlo is run, so that the twin is asked for differences only."""
+
+    model: Model
+    histories: int
+    """At least so many for each sample."""
+    seed: int = 1
+    poses: Sequence[Pose] = ()
+    """One for each view: where the difference between Monte Carlo and twin is seen from; none: unmoved cameras."""
+
+
+@dataclass(frozen=True, eq=False)
+class Predicted:
+    """An expected image, before the camera's gain."""
+
+    irradiance_per_mm2: Real
+    """(row, column), per flux of a chip."""
+    jacobian_per_mm2: dict[str, Real]
+    """(row, column) by path of the model, per that parameter's own unit, or by name of the pose's number."""
+    noise_per_mm2: Real | None = None
+    """(group, row, column) of an anchor: the covariance of two pixels is the sum over groups of their products.
+    Groups of views with different samples are independent."""
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """Rows of a spectrum or an ellipsometric curve of a film."""
+
+    film: FilmSample
+    quantity: Literal["R", "T", "psi", "delta"]
+    wavelength_nm: Real
+    """(row,)"""
+    aoi_deg: Real
+    """(row,)"""
+    polarisation: Sequence[str]
+    """(row,): s, p, u; "" with psi and delta."""
+    bandwidth_nm: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class FarView:
+    """Directions in which a goniometer looks at a sample."""
+
+    sample: Sample
+    theta_deg: Real
+    """(row,), from the normal."""
+    phi_deg: Real
+    """(row,), from x towards y."""
+
+
+@dataclass(frozen=True, eq=False)
+class PredictedCurve:
+    """Expected values of the rows of a curve, and how they change."""
+
+    value: Real
+    """(row,): R and T as shares, psi and delta in degrees, a far field in 1/sr per flux of a chip."""
+    jacobian: dict[str, Real]
+    """(row,) by path, per that parameter's own unit."""
+    error: Real | None = None
+    """(row,): standard error that Monte Carlo left in a far field."""

@@ -1,0 +1,185 @@
+"""A command of this room at work: the model file, the data set, the workers, and the run that keeps it on record.
+
+with session(settings, subject, "compare") as at:
+    ... at.predictor.images(...) ...
+    at.record(document, residual_maps)
+
+Every such command is a run of kind validation: its journal holds the model file, the manifest, the ids of all tasks
+that the workers were asked, the document that was told, and the map of residuals of every image.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from luxloop import __version__
+from luxloop.campaign import Fidelity, Plan
+from luxloop.client import Client, as_task
+from luxloop.design import Bounds, Design
+from luxloop.door import RunDoor
+from luxloop.errors import InputError
+from luxloop.model import Data, Model
+from luxloop.model_file import SHIPPED, find_model, read_model, to_toml
+from luxloop.settings import Settings, usable_cache
+from validation.dataset.folder import Dataset, read_dataset
+from validation.dataset.manifest_file import MANIFEST
+from validation.model_versions import Version, save
+from validation.prediction import Predictor
+
+if TYPE_CHECKING:
+    from luxloop.bus.frame import Array
+    from luxloop.client import Answer
+
+PATIENCE_S = 300.0
+"""A worker that starts for the first time compiles its kernels."""
+DEFAULT_MODEL = "model.toml"
+MODEL_START = "paper"
+"""Of the shipped models the one that a model file begins with."""
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A model file and the measurements that it is compared with."""
+
+    file: str
+    model: Model
+    dataset: Dataset
+
+    def saved(self, model: Model, command: str, errors: Mapping[str, float]) -> Version | None:
+        """The model written to its file as a new version; None for a shipped one, which never changes."""
+        return None if self.file in SHIPPED else save(Path(self.file), model, command, dict(errors))
+
+    @property
+    def with_data(self) -> Model:
+        """The model with these data on record: their folder as seen from the model file, and their hash."""
+        here = Path(self.file).resolve().parent
+        return self.model.model_copy(
+            update={"data": Data(path=_near(self.dataset.folder, here), sha256=self.dataset.sha256)}
+        )
+
+
+def subject_of(file: str, dataset: Path | None) -> Subject:
+    """The model in a file (begun from the paper's where there is none) and its data: those given, or those on record.
+
+    Raises InputError where neither names data, or the data on record have changed since.
+    """
+    path = Path(file)
+    if file not in SHIPPED and not path.exists() and dataset is not None:
+        begun = find_model(MODEL_START).model_copy(update={"name": path.stem})
+        save(path, begun, f"begun from {MODEL_START}")
+        sys.stderr.write(f"luxloop: {file} did not exist: begun from the model {MODEL_START!r}\n")
+    model = find_model(file) if file in SHIPPED else read_model(path)
+    if dataset is not None:
+        return Subject(file, model, read_dataset(dataset))
+    if model.data is None:
+        raise InputError(
+            "--model", file, "a model that was compared with data", "luxloop compare DATASET comes first"
+        )
+    found = read_dataset((path.parent / model.data.path).resolve())
+    if found.sha256 != model.data.sha256:
+        mend = "luxloop compare DATASET takes them as they are now"
+        raise InputError("[data]", str(found.folder), f"data as they were compared, {model.data.sha256[:12]}", mend)
+    return Subject(file, model, found)
+
+
+@dataclass
+class Asking:
+    """A client that remembers the ids of what it asked."""
+
+    client: Client
+    tasks: list[str] = field(default_factory=list)
+
+    def map(self, requests: Sequence[Any], *, limit_s: float) -> Iterator[tuple[int, Answer | Any]]:
+        """As `Client.map`."""
+        tasks = [as_task(request) for request in requests]
+        self.tasks += [task.id for task in tasks]
+        yield from self.client.map(tasks, limit_s=limit_s)
+
+    def run(self, request: Any, **options: Any) -> Answer:
+        """As `Client.run`."""
+        task = as_task(request)
+        self.tasks.append(task.id)
+        return self.client.run(task, **options)
+
+
+@dataclass
+class Session:
+    """A run of kind validation that is open."""
+
+    subject: Subject
+    command: str
+    seed: int
+    door: RunDoor
+    asking: Asking
+    predictor: Predictor
+
+    def record(self, document: Mapping[str, Any], residual_maps: Mapping[str, Array]) -> None:
+        """Put a step on record with its maps (row, column) of residuals in standard deviations, 0 where unused."""
+        step = {
+            "command": self.command,
+            "model_sha256": self.subject.model.sha256,
+            "dataset_sha256": self.subject.dataset.sha256,
+            "seed": str(self.seed),
+            "tasks": tuple(dict.fromkeys(self.asking.tasks)),
+            "document": dict(document),
+        }
+        self.door.note(validation=step)
+        for shot, image in residual_maps.items():
+            rows = tuple(tuple(float(f"{value:.5g}") for value in row) for row in image)
+            self.door.note(residual_maps={shot: rows})
+
+
+@contextmanager
+def session(
+    settings: Settings, subject: Subject, command: str, *, seed: int = 1, local: bool = True, say: bool = True
+) -> Iterator[Session]:
+    """Workers that answer (a running set, else one of our own), and a run at their controller.
+
+    Raises RemoteError where the controller refuses or cannot be reached.
+    """
+    usable_cache(settings)
+    name = f"{datetime.now(UTC):%Y%m%d-%H%M%S}-{command}-{os.getpid()}"
+    with Client(settings, local=local, patience_s=PATIENCE_S) as client:
+        facts = {"argv": sys.argv[1:], "version": __version__, "dataset_sha256": subject.dataset.sha256}
+        with RunDoor.begin(client, _plan(name, subject), facts, _attachments(subject)) as door:
+            asking = Asking(client)
+            yield Session(subject, command, seed, door, asking, Predictor(asking))
+            ended = door.end("told", complete=True)
+    if say:
+        sys.stderr.write(f"luxloop: on record in {ended.folder}, root {ended.root}\n")
+
+
+def _plan(name: str, subject: Subject) -> Plan:
+    """What the controller must know; nothing is designed, so the box is that of the samples."""
+    samples = [sample.design for sample in subject.dataset.manifest.samples if sample.layout == "array"]
+    bounds = _box(samples) if samples else Bounds.preset("paper-table3")
+    fidelity = Fidelity(method="twin", histories=131_072)
+    model = subject.model
+    return Plan(
+        run=name, kind="validation", model=subject.file, environment=model.environment, effects=model.effects,
+        bounds=bounds, walk=fidelity, final=fidelity,
+    )  # fmt: skip
+
+
+def _box(designs: Sequence[Design]) -> Bounds:
+    ends = [{name: pick(getattr(one, name) for one in designs) for name in Design.FIELDS} for pick in (min, max)]
+    step = Design.from_vector((1.0, 1.0, 1.0, 1.0, 0.5))
+    return Bounds(low=Design(**ends[0]), high=Design(**ends[1]), step=step)
+
+
+def _attachments(subject: Subject) -> dict[str, str]:
+    manifest = (subject.dataset.folder / MANIFEST).read_text(encoding="utf-8-sig")
+    return {"model.toml": to_toml(subject.model), MANIFEST: manifest}
+
+
+def _near(folder: Path, here: Path) -> str:
+    """The folder as seen from `here` where it lies below or beside, else its whole path."""
+    whole = folder.resolve()
+    return str(os.path.relpath(whole, here)) if whole.is_relative_to(here.parent) else str(whole)
