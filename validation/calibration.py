@@ -133,7 +133,7 @@ def calibrated(
     before = compared(model, observed, predictor, Solver(None, solver.seed), cache=cache)
     stages: list[Stage] = []
     if way is not None:
-        experiment = Experiment(observed.images, before.fit.poses, predictor)
+        experiment = Experiment(observed.images, before.fit.poses, predictor, solver.anchor(model))
         if way == "joint":
             stages = list(experiment.joint(model, progress))
             for stage in stages:

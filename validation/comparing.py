@@ -41,10 +41,11 @@ class Solver:
     @property
     def anchor_at(self) -> Callable[[Model], Anchored | None] | None:
         """What a fit asks for its anchor; None for the twin alone."""
-        histories = self.histories
-        if histories is None:
-            return None
-        return lambda model: Anchored(model, histories, self.seed)
+        return None if self.histories is None else self.anchor
+
+    def anchor(self, model: Model) -> Anchored:
+        """The anchor at a model; of the twin alone one without Monte Carlo, whose chips lend their exits."""
+        return Anchored(model, self.histories or 0, self.seed)
 
     def document(self) -> dict[str, Any]:
         """For people and machines."""

@@ -3,9 +3,9 @@
     single chips   substrate: Gaussian 0, 5, 10, 15 deg or Lambertian, reflectance 93 to 99 %     Fig. 5(a)
     chip arrays    receiver:  the same five, reflectance 20 to 40 %                               Fig. 5(b)
 
-Each candidate is predicted by the twin and brought to each image by the gain and the offset of least squares; what is
-left is the mean square error of Eq. 1, and the candidate with the least is taken (Eq. 2). The two stages are repeated
-until neither changes, or all pairs of candidates are tried at once.
+Each candidate is predicted about an anchor and brought to each image by the gain and the offset of least squares;
+what is left is the mean square error of Eq. 1, and the candidate with the least is taken (Eq. 2). The two stages are
+repeated until neither changes, or all pairs of candidates are tried at once.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from luxloop.model import Model, Surface
 from luxloop.words import parse
 from validation.fit.problem import ImagePredictor
 from validation.measured import MeasuredImage
-from validation.prediction import Pose, View
+from validation.prediction import Anchored, Pose, View
 
 Real = NDArray[np.float64]
 Part = Literal["substrate", "receiver"]
@@ -119,11 +119,16 @@ class Stage:
 
 @dataclass(frozen=True)
 class Experiment:
-    """The images, where their modules lie in them, and who predicts."""
+    """The images, where their modules lie in them, who predicts, and about which model.
+
+    Candidates are differences of the twin about one anchor, with the exits of its chips: noise is then the same for
+    all, and does not decide between them.
+    """
 
     images: Sequence[MeasuredImage]
     poses: Mapping[str, Pose]
     predictor: ImagePredictor
+    anchor: Anchored
 
     def of_layout(self, layout: str) -> list[MeasuredImage]:
         """The images of single chips, or of arrays."""
@@ -134,7 +139,8 @@ class Experiment:
         for candidate in candidates:
             model = candidate.applied(model)
         views = [view_of(image, self.poses[image.shot.id]) for image in images]
-        found = self.predictor.images(model, views)
+        anchor = replace(self.anchor, poses=tuple(self.poses[image.shot.id] for image in images))
+        found = self.predictor.images(model, views, (), anchor)
         errors = [errors_of(image, one.irradiance_per_mm2) for image, one in zip(images, found, strict=True)]
         return Tried(tuple(candidates), *(float(mean) for mean in np.mean(errors, axis=0)))
 

@@ -35,8 +35,7 @@ CAUTION = 0.3
 def light_of(tally: Tally, scene: Scene) -> Field:
     """The field of a tally: of a cell in relative illuminance, of a module in 1/mm^2 per flux of a nominal chip."""
     if isinstance(scene.layout, Array):
-        histories = tally.total_histories / tally.groups / float(scene.layout.power.sum())
-        field = ModuleField.from_bins(tally.cell_bins(), histories, tally.box.ends_um, scene.height_um)
+        field = unweighed(tally, scene)
         return replace(field, coefficients=_weighed(field, _share_of_first(field)))
     spacing, height = scene.layout.spacing_um, scene.height_um
     modes = max(FEWEST_MODES, round(MORE_MODES * mode_count(height, spacing)))
@@ -46,6 +45,16 @@ def light_of(tally: Tally, scene: Scene) -> Field:
     )
     coefficients = _weighed(first, _share_of_first(first)) + _weighed(later, _share_of_later(later, scene))
     return replace(first, coefficients=coefficients)
+
+
+def unweighed(tally: Tally, scene: Scene) -> ModuleField:
+    """The field of a module with all modes as they were counted: linear in the light, its noise that of its groups.
+
+    Weights would depend on what they weigh, and so make an error that groups of one run share.
+    """
+    assert isinstance(scene.layout, Array)  # noqa: S101  the caller knows
+    histories = tally.total_histories / tally.groups / float(scene.layout.power.sum())
+    return ModuleField.from_bins(tally.cell_bins(), histories, tally.box.ends_um, scene.height_um)
 
 
 def _weighed(field: Field, share: Real) -> Real:

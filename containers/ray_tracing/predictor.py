@@ -18,12 +18,13 @@ from containers.ray_tracing.build import cell_of, scene_of
 from containers.ray_tracing.exit_source import BATCH, ExitSource
 from containers.ray_tracing.exits import Exits
 from containers.ray_tracing.field import Field
+from containers.ray_tracing.light import unweighed
 from containers.ray_tracing.monte_carlo import BLOCK, blocks_of
-from containers.ray_tracing.outcome import Arrays, Document, solved
+from containers.ray_tracing.outcome import Arrays, Document
 from containers.ray_tracing.simulation import layout_of, refuse_other_film, solver_of
 from containers.ray_tracing.tally import GROUPS
 from containers.ray_tracing.twin.columns import CAMERA_COLUMNS, COLUMNS, CameraColumn, Column
-from containers.ray_tracing.twin.module import open_array
+from containers.ray_tracing.twin.module import ModuleTwin, open_array
 from containers.ray_tracing.twin.noise import MOST_FUNCTIONS
 from containers.ray_tracing.twin.prediction import (
     Anchor,
@@ -185,15 +186,28 @@ class _Job:
         """An anchor at these shots; what several cameras see is run once, what is `known` is not run again."""
         modules = [sha256_of(shot.model_dump(mode="json", exclude={"camera"})) for shot in at]
         if not asked.histories:
-            return Anchor(shots, None, supply, report=self.steps.image, **self.options)
+            return Anchor(shots, None, supply, None, report=self.steps.image, **self.options)
         run = asked.model_dump(mode="json", exclude={"shots"}) | {"exit_seed": self.request.exit_seed}
         keys = [sha256_of({"module": module, "run": run}) for module in modules]
-        self.steps.total += RUN_STEPS * len(set(keys) - set(known)) + 2 * len(shots)
+        self.steps.total += RUN_STEPS * len(set(keys) - set(known)) + 3 * len(shots)
         fields = []
         for key, wanted, shot in zip(keys, at, shots, strict=True):
             with named(shot.name):
                 fields.append(remembered(known, key, partial(self._field, asked, wanted, shot.scene)))
-        return Anchor(shots, fields, supply, report=self.steps.image, **self.options)
+        scenes = {key: shot.scene for key, shot in zip(keys, shots, strict=True)}
+        fine = {key: self._fine(asked, scene) for key, scene in scenes.items()}
+        grids = [fine[key].of_groups for key in keys]
+        return Anchor(shots, fields, supply, grids, report=self.steps.image, **self.options)
+
+    def _fine(self, asked: AnchorRequest, scene: Scene) -> ModuleTwin:
+        """A twin of a module that lands as many exits as Monte Carlo has histories, in as many groups."""
+        blocks = blocks_of(asked.histories)
+        seed = int(sha256_of([asked.seed, "fine twin"])[:15], 16)
+        self.steps.say("chip exits")
+        exits = self.source.exits(scene, seed, blocks // BLOCK, report=lambda _: self.steps.say("chip exits"))
+        return ModuleTwin(
+            scene, exits, blocks=blocks // BLOCK, groups=GROUPS, shadow_rays=SHADOW_RAYS, threads=self.threads
+        )
 
     def _field(self, asked: AnchorRequest, wanted: ShotRequest, scene: Scene) -> Field:
         """A module's field by Monte Carlo."""
@@ -207,7 +221,7 @@ class _Job:
         solver = solver_of(run, scene, self.source, self.threads)
         tally = solver.run_to(blocks_of(asked.histories), self.steps.run)
         self.steps.done += RUN_STEPS
-        return solved(scene, tally).field
+        return unweighed(tally, scene)
 
 
 def _size(shot: ShotRequest) -> str:

@@ -22,9 +22,10 @@ def light(x_um: Real, y_um: Real) -> Real:
     return np.asarray((1.0 + (x_um**2 + y_um**2) / HEIGHT_UM**2) ** -2)
 
 
-def basis(shift_um: float = 0.0, *, symmetric: bool = True) -> NoiseBasis:
+def basis(shift_um: float = 0.0, *, symmetric: bool = True, like: NoiseBasis | None = None) -> NoiseBasis:
+    """Of an image whose pixels are shifted."""
     x_um, y_um = places(shift_um)
-    return NoiseBasis.at(x_um, y_um, light(x_um, y_um), REACH_UM, HEIGHT_UM, symmetric=symmetric)
+    return NoiseBasis.at(x_um, y_um, light(x_um, y_um), REACH_UM, HEIGHT_UM, symmetric=symmetric, like=like)
 
 
 def drawn(of: NoiseBasis, groups: int, seed: int) -> tuple[Real, Real]:
@@ -62,7 +63,8 @@ def test_more_ways_to_err_than_groups_are_all_covered() -> None:
 
 def test_two_views_of_a_module_see_the_same_noise() -> None:
     """A column is one function of the place: shifted pixels see it where they look."""
-    first, shifted = basis(), basis(40.0)
+    first = basis()
+    shifted = basis(40.0, like=first)
     deviations, _ = drawn(first, 32, 8)
     at, beside = noise_columns(deviations, first, first), noise_columns(deviations, shifted, first)
     whole = 40.0 / (960.0 / 23)

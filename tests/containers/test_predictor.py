@@ -134,8 +134,8 @@ def test_columns_are_differences_of_predicted_images(source: ExitSource, name: s
 
 
 @pytest.mark.parametrize("stored", [False, True])
-def test_at_the_anchor_a_prediction_is_monte_carlo(source: ExitSource, stored: bool) -> None:
-    """Image and error are those that a simulation with the same seeds has, for each of two modules."""
+def test_at_the_anchor_a_prediction_agrees_with_monte_carlo(source: ExitSource, stored: bool) -> None:
+    """Within the errors of both, for each of two modules."""
     common = {"histories": HISTORIES, "seed": "3", "stored_exits": stored}
     of = worker(source)
     found = ask(request(anchor=common, exit_seed="2"), of)
@@ -144,9 +144,10 @@ def test_at_the_anchor_a_prediction_is_monte_carlo(source: ExitSource, stored: b
         camera = wanted.pop("camera")
         seen = ask(json.loads(json.dumps(wanted | common | {"exit_seed": "2", "images": [camera]})), of)
         image, error = found["images_per_mm2"][number], np.sqrt((found["noise_per_mm2"][:, number] ** 2).sum(axis=0))
-        np.testing.assert_allclose(image, seen["image_0"], atol=2e-3 * image.max())
-        ratio = np.sqrt(np.mean(error**2) / np.mean(seen["image_error_0"] ** 2))
-        assert ratio == pytest.approx(1.0, abs=0.2)  # smooth functions leave the corners of the waves out
+        z = (image - seen["image_0"]) / np.hypot(error, seen["image_error_0"])
+        assert 0.2 < np.sqrt(np.mean(z**2)) < 1.6
+        assert abs(np.mean(image) / np.mean(seen["image_0"]) - 1.0) < 0.03
+        assert np.sqrt(np.mean(error**2) / np.mean(seen["image_error_0"] ** 2)) < 3.0  # no modes are shrunk
     assert found["noise_per_mm2"].shape[1:] == (2, 16, 16)
 
 

@@ -28,6 +28,7 @@ Real = NDArray[np.float64]
 
 DRAWS = 10_000
 REGIONS = 20
+LARGEST_P = 0.9999  # for its normal equivalent: that of 1 is no number
 
 
 @dataclass(frozen=True)
@@ -131,7 +132,7 @@ def judged(residual: Real, layout: Layout, projection: Projection, variances: Va
     return Structure(
         p=p,
         p_text=p_text,
-        z=float(norm.isf(p)),
+        z=float(norm.isf(min(p, LARGEST_P))),
         statistic=largest,
         families=families,
         shots={shot: _shot(shot, layout, residual, energies, drawn, regions) for shot in layout.shots},
@@ -204,4 +205,4 @@ def _shot(
     cells = next(group for group in layout.groups if group.shot == shot and group.family == CELLS)
     pixels = layout.cells[cells.rows].indices
     worst = next(region for region in regions if region.shot == shot)
-    return ShotFound(p, text, float(norm.isf(p)), float(np.mean(residual[pixels] ** 2)), worst)
+    return ShotFound(p, text, float(norm.isf(min(p, LARGEST_P))), float(np.mean(residual[pixels] ** 2)), worst)

@@ -1,16 +1,16 @@
 """The noise that Monte Carlo leaves in images of a module, told by smooth functions: enough of them, and each known.
 
-    noise(x, y) = sum_k a_k phi_k(x, y)       cosines about the module's centre, alike under its symmetries
+    noise(x, y) = sqrt(light(x, y)) sum_k a_k c_k(x, y)      cosines about the module's centre, with its symmetries
 
-A field of a module is made of waves up to 10.65 / (D - T), folded by the module's symmetries, so there are more ways
+A field of a module is made of waves up to 14 / (D - T), folded by the module's symmetries, so there are more ways
 for it to err than there are groups of histories (32): their products alone would call most of the noise a signal. In
-functions that are orthogonal under the weight of counted light noise is nearly white; its scale the groups tell.
+these functions, made orthogonal under the weight of counted light, noise is uncorrelated; its spectrum the groups
+tell: low waves have less of it, for places of emission and directions are drawn evenly (Sobol).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,11 +18,17 @@ from scipy.linalg import solve_triangular
 
 Real = NDArray[np.float64]
 
-CUT = 10.65
-"""Wave number times height up to which a module's field has waves."""
+CUT = 1.3 * 10.65
+"""Wave number times height up to which a module's field has waves, the taper of its modes included."""
+WIDEST = 4.0
+"""The same, for what a twin neglects: its errors are smoother than the light."""
 MOST_FUNCTIONS = 200
 BEYOND = 0.5
 """Heights by which the functions' own period passes the pixels, so that they need not be flat at the edge."""
+NEIGHBOURS = 4
+"""On either side of a function, in the order of wave numbers, whose variance is taken to be alike."""
+ALIKE = 1e-3
+"""A function of which less is left beside wider waves says nothing of its own at these pixels."""
 FAINT = 1e-3
 """Of the brightest pixel: where less arrives, noise is taken as there."""
 
@@ -32,16 +38,26 @@ class NoiseBasis:
     """The functions at the pixels of one image, and the factor that makes them orthogonal.
 
     functions : (function, pixel). factor : (function, function), lower triangle of the weighed normal matrix.
-    weight : (pixel,).
+    weight : (pixel,). wide : how many of the functions are the widest waves. told : their numbers among all.
     """
 
     functions: Real
     factor: Real
     weight: Real
+    wide: int
+    told: NDArray[np.intp]
 
     @classmethod
     def at(
-        cls, x_um: Real, y_um: Real, light: Real, reach_um: float, height_um: float, *, symmetric: bool
+        cls,
+        x_um: Real,
+        y_um: Real,
+        light: Real,
+        reach_um: float,
+        height_um: float,
+        *,
+        symmetric: bool,
+        like: NoiseBasis | None = None,
     ) -> NoiseBasis:
         """The functions for an image.
 
@@ -51,18 +67,31 @@ class NoiseBasis:
         reach_um : how far from the centre any pixel of the module's images lies, in x or in y.
         height_um : from the chips' top to the receiver.
         symmetric : whether the module has the eight symmetries of the square.
+        like : of another image of the same module, whose functions are taken.
         """
-        functions = _functions(x_um.ravel(), y_um.ravel(), reach_um + BEYOND * height_um, height_um, symmetric)
-        weight = 1.0 / np.maximum(light.ravel(), FAINT * float(light.max()))
-        normal = (functions * weight) @ functions.T
-        normal += 1e-9 * np.trace(normal) / len(normal) * np.eye(len(normal))
-        return cls(functions, np.asarray(np.linalg.cholesky(normal)), weight)
+        variance = np.maximum(light.ravel(), FAINT * float(light.max()))
+        period_um = reach_um + BEYOND * height_um
+        functions, wave = _functions(x_um.ravel(), y_um.ravel(), period_um, height_um, symmetric)
+        if like is None:
+            left = np.abs(np.diagonal(_triangle(functions)))  # of a function, beside those before it
+            told = np.flatnonzero(left > ALIKE * np.linalg.norm(functions, axis=1)[: left.size])
+        else:
+            told = like.told
+        functions, wave = functions[told], wave[told]
+        wide = int(np.count_nonzero(wave * np.pi / period_um * height_um <= WIDEST))
+        return cls(functions * np.sqrt(variance), _triangle(functions).T, 1.0 / variance, wide, told)
 
     def amplitudes(self, images: Real) -> Real:
         """Of images (..., row, column): (..., function) in the orthogonal functions."""
         pixels = images.reshape(*images.shape[:-2], -1)
         right = (pixels * self.weight) @ self.functions.T
         return np.asarray(solve_triangular(self.factor, right.reshape(-1, len(self.factor)).T, lower=True).T)
+
+    def widest(self, images: Real) -> Real:
+        """Of images (..., row, column) the part in the widest waves, those of `WIDEST` over the height and below."""
+        orthogonal = solve_triangular(self.factor, self.functions, lower=True)[: self.wide]
+        amplitudes = self.amplitudes(images)[..., : self.wide]
+        return np.asarray((amplitudes @ orthogonal).reshape(images.shape))
 
 
 def noise_columns(deviations: Real, basis: NoiseBasis, first: NoiseBasis) -> Real:
@@ -76,35 +105,36 @@ def noise_columns(deviations: Real, basis: NoiseBasis, first: NoiseBasis) -> Rea
 
     Notes
     -----
-    Half of a function's variance is its own as the groups show it, half is the mean over all: 32 groups tell one
-    variance to 25 %, all functions together to 4 %.
+    32 groups tell the variance of one function to 25 %; functions of nearly one wave number share theirs, so that it
+    is known to 8 %.
     """
     own = (first.amplitudes(deviations) ** 2).sum(axis=0)
-    scale = np.sqrt(0.5 * own + 0.5 * own.mean())
+    near = np.abs(np.subtract.outer(np.arange(own.size), np.arange(own.size))) <= NEIGHBOURS
+    scale = np.sqrt(near @ own / near.sum(axis=1))
     transfer = solve_triangular(first.factor, basis.functions, lower=True)
     return np.asarray((scale[:, None] * transfer).reshape(-1, *deviations.shape[1:]))
 
 
-def _functions(x_um: Real, y_um: Real, period_um: float, height_um: float, symmetric: bool) -> Real:
-    """(function, pixel): products of cosines; with sines too where the module is not symmetric."""
+def _functions(x_um: Real, y_um: Real, period_um: float, height_um: float, symmetric: bool) -> tuple[Real, Real]:
+    """(function, pixel), widest waves first, and their wave numbers in pi / period (function,).
+
+    Products of cosines, alike in x and y; of cosines and sines where the module is not symmetric.
+    """
     most = max(1, int(CUT * period_um / (np.pi * height_um)))
-    if symmetric:
-        while (most + 1) * (most + 2) // 2 > MOST_FUNCTIONS:
-            most -= 1
-        along_x, along_y = (_cosines(u, most, period_um) for u in (x_um, y_um))
-        pairs = [(m, n) for m in range(most + 1) for n in range(m + 1)]
-        return np.array([along_x[m] * along_y[n] + along_x[n] * along_y[m] for m, n in pairs])
-    while (2 * most + 1) ** 2 > MOST_FUNCTIONS:
-        most -= 1
-    along_x, along_y = (
-        np.concatenate([_cosines(u, most, period_um), _sines(u, most, period_um)]) for u in (x_um, y_um)
-    )
-    return np.array([one * other for one, other in product(along_x, along_y)])
+    along = [_waves(u, most, period_um, sines=not symmetric) for u in (x_um, y_um)]
+    waves = np.r_[np.arange(most + 1), np.arange(1, most + 1) if not symmetric else []]
+    places = [(m, n) for m in range(len(waves)) for n in range(m + 1 if symmetric else len(waves))]
+    places = sorted(places, key=lambda p: float(np.hypot(waves[p[0]], waves[p[1]])))[:MOST_FUNCTIONS]
+    found = [along[0][m] * along[1][n] + (along[0][n] * along[1][m] if symmetric else 0.0) for m, n in places]
+    return np.array(found), np.array([np.hypot(waves[m], waves[n]) for m, n in places])
 
 
-def _cosines(u_um: Real, most: int, period_um: float) -> Real:
-    return np.cos(np.pi / period_um * np.outer(np.arange(most + 1), u_um))
+def _triangle(functions: Real) -> Real:
+    """R of the decomposition of functions (function, pixel)."""
+    return np.asarray(np.linalg.qr(functions.T, mode="r"))
 
 
-def _sines(u_um: Real, most: int, period_um: float) -> Real:
-    return np.sin(np.pi / period_um * np.outer(np.arange(1, most + 1), u_um))
+def _waves(u_um: Real, most: int, period_um: float, *, sines: bool) -> Real:
+    """Cosines, then sines where they are wanted, at places along an axis: (wave, pixel)."""
+    phase = np.pi / period_um * np.outer(np.arange(most + 1), u_um)
+    return np.concatenate([np.cos(phase), np.sin(phase[1:])]) if sines else np.cos(phase)

@@ -1,10 +1,12 @@
 """What cameras would see at parameters near an anchor, and how that changes with each parameter.
 
-    prediction(theta) = Monte Carlo at the anchor + twin(theta) - twin(anchor)
+    prediction(theta) = twin(theta) - twin(anchor) + fine twin(anchor) + widest waves of what Monte Carlo adds to it
 
-The twin's own error is nearly the same at both and cancels; what is left of the noise is that of one Monte Carlo run,
-the same at all parameters, and its covariance is known. All images here are irradiance in 1/mm^2 per flux of a chip,
-before gain and what the sensor does (`camera.response`): up to there a camera is linear.
+The twin's noise is nearly the same at both and cancels. The fine twin lands as many exits as Monte Carlo has
+histories, and every exit serves all chips: in a module its noise is that of many times more histories. What it
+neglects is smooth, so Monte Carlo corrects its widest waves only. The noise left is the same at all parameters, and
+its covariance is known. All images here are irradiance in 1/mm^2 per flux of a chip, before gain and what the sensor
+does (`camera.response`): up to there a camera is linear.
 """
 
 from __future__ import annotations
@@ -138,6 +140,8 @@ class Anchor:
     ----------
     fields : of the modules, by Monte Carlo, one for each shot, with equally many groups; the same object where one
         run is seen by several cameras. None: no Monte Carlo, only chips whose exits stand for those of others.
+    fine : of the same modules maps (group, y, x) by a twin with many exits, equally many groups. None: Monte Carlo
+        stands for itself in all its waves.
     """
 
     def __init__(
@@ -145,6 +149,7 @@ class Anchor:
         shots: Sequence[Shot],
         fields: Sequence[Field] | None,
         supply: Supply,
+        fine: Sequence[Grid] | None = None,
         *,
         report: Report = nothing,
         **options: int,
@@ -156,13 +161,14 @@ class Anchor:
             return
         if len(shots) != len(fields) or len({field.groups for field in fields}) != 1:
             raise InputError("fields", len(fields), f"{len(shots)}, one for each shot, with equally many groups")
-        seen = []
-        for shot, field in zip(shots, fields, strict=True):
-            report()
-            seen.append(_replicas(field, shot))
-        replicas = np.stack(seen, axis=1)
+        replicas = _replicas([field.grid for field in fields], shots, report)
+        bases = bases_of(shots, fields, replicas.mean(axis=0))
+        if fine is not None:
+            finer = _replicas(fine, shots, report)
+            for number, basis in enumerate(bases):
+                finer[:, number] += basis.widest(replicas[:, number] - finer[:, number])
+            replicas = finer
         mean, groups = replicas.mean(axis=0), len(replicas)
-        bases = bases_of(shots, fields, mean)
         first = [next(i for i, one in enumerate(fields) if one is field) for field in fields]
         deviations = (replicas - mean) / np.sqrt(groups * (groups - 1.0))
         columns = [noise_columns(deviations[:, i], bases[n], bases[i]) for n, i in enumerate(first)]
@@ -202,13 +208,15 @@ def bases_of(shots: Sequence[Shot], fields: Sequence[Field], light: Real) -> lis
         row, column = pixels(shot.camera.rows), pixels(shot.camera.columns)
         places.append(receiver_points(shot.camera, row, column)[:2])
     reach = [max(float(np.abs(x).max()), float(np.abs(y).max())) for x, y in places]
-    return [
-        NoiseBasis.at(
-            x, y, light[number], max(r for r, other in zip(reach, fields, strict=True) if other is field),
-            shot.scene.height_um, symmetric=shot.scene.symmetric,
+    found: list[NoiseBasis] = []
+    for number, (shot, field, (x, y)) in enumerate(zip(shots, fields, places, strict=True)):
+        whole_um = max(r for r, other in zip(reach, fields, strict=True) if other is field)
+        like = next((basis for basis, other in zip(found, fields, strict=False) if other is field), None)
+        scene = shot.scene
+        found.append(
+            NoiseBasis.at(x, y, light[number], whole_um, scene.height_um, symmetric=scene.symmetric, like=like)
         )
-        for number, (shot, field, (x, y)) in enumerate(zip(shots, fields, places, strict=True))
-    ]  # fmt: skip
+    return found
 
 
 def twin_images(shots: Sequence[Shot], supply: Supply, *, report: Report = nothing, **options: int) -> Real:
@@ -286,10 +294,14 @@ def stencil_of(column: Column, shot: Shot) -> tuple[tuple[float, float], ...]:
         return column.stencil(shot.scene)
 
 
-def _replicas(field: Field, shot: Shot) -> Real:
-    """Images (group, row, column) of each group of a field."""
-    with named(shot.name):
-        return image_of(field.grid, shot)
+def _replicas(grids: Sequence[Grid], shots: Sequence[Shot], report: Report) -> Real:
+    """Images (group, shot, row, column) of each group of maps."""
+    seen = []
+    for shot, grid in zip(shots, grids, strict=True):
+        report()
+        with named(shot.name):
+            seen.append(image_of(grid, shot))
+    return np.stack(seen, axis=1)
 
 
 def refuse_several_sizes(shots: Sequence[Shot]) -> tuple[int, int]:
