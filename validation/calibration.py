@@ -15,7 +15,7 @@ from validation.comparing import Comparison, Solver, compared
 from validation.fit import Profile, profile
 from validation.observed import Observed
 from validation.prediction import Predictor
-from validation.virtual_realistic import KINDS, Experiment, Part, Stage
+from validation.virtual_realistic import KINDS, PARTS, Experiment, Stage
 
 Way = Literal["in turn", "joint"]
 NORMAL_95 = 1.959964
@@ -69,7 +69,7 @@ class Calibrated:
     @property
     def sentence(self) -> str:
         """What to say first."""
-        substrate, receiver = (named(getattr(self.after.fit.model.environment, part)) for part in _PARTS)
+        substrate, receiver = (named(getattr(self.after.fit.model.environment, part)) for part in PARTS)
         return f"substrate {substrate}; receiver {receiver}"
 
     @property
@@ -79,7 +79,8 @@ class Calibrated:
 
     def _chosen(self, number: int) -> dict[str, str]:
         """Both surfaces as they stood after a stage."""
-        chosen: dict[str, str] = {}
+        start = self.before.fit.model.environment
+        chosen: dict[str, str] = {part: named(getattr(start, part)) for part in PARTS}
         for stage in self.stages[: number + 1]:
             for candidate in stage.best.candidates:
                 chosen[candidate.part] = str(candidate)
@@ -109,9 +110,6 @@ class Calibrated:
             for j, other in enumerate(self.free[:i])
             if abs(correlation[i, j]) > CORRELATED
         ]
-
-
-_PARTS: tuple[Part, Part] = ("substrate", "receiver")
 
 
 def calibrated(
@@ -153,7 +151,7 @@ def calibrated(
 def named(surface: Surface) -> str:
     """A surface in words: its kind by the paper's name where it has one, its reflectance."""
     kind = next((name for name, sigma_deg in KINDS.items() if sigma_deg == surface.sigma_deg), None)
-    return f"{kind or f'Gaussian {surface.sigma_deg:.3g} deg'}, {100.0 * surface.reflectance:.2f} %"
+    return f"{kind or f'Gaussian {surface.sigma_deg:.3g} deg'}, {100.0 * surface.reflectance:.4g} %"
 
 
 def _errors(name: str, found: Comparison) -> dict[str, Any]:

@@ -24,7 +24,7 @@ from containers.ray_tracing.outcome import Arrays, Document
 from containers.ray_tracing.simulation import layout_of, refuse_other_film, solver_of
 from containers.ray_tracing.tally import GROUPS
 from containers.ray_tracing.twin.columns import CAMERA_COLUMNS, COLUMNS, CameraColumn, Column
-from containers.ray_tracing.twin.module import ModuleTwin, open_array
+from containers.ray_tracing.twin.module import open_array
 from containers.ray_tracing.twin.noise import MOST_FUNCTIONS
 from containers.ray_tracing.twin.prediction import (
     Anchor,
@@ -186,28 +186,15 @@ class _Job:
         """An anchor at these shots; what several cameras see is run once, what is `known` is not run again."""
         modules = [sha256_of(shot.model_dump(mode="json", exclude={"camera"})) for shot in at]
         if not asked.histories:
-            return Anchor(shots, None, supply, None, report=self.steps.image, **self.options)
+            return Anchor(shots, None, supply, report=self.steps.image, **self.options)
         run = asked.model_dump(mode="json", exclude={"shots"}) | {"exit_seed": self.request.exit_seed}
         keys = [sha256_of({"module": module, "run": run}) for module in modules]
-        self.steps.total += RUN_STEPS * len(set(keys) - set(known)) + 3 * len(shots)
+        self.steps.total += RUN_STEPS * len(set(keys) - set(known)) + 2 * len(shots)
         fields = []
         for key, wanted, shot in zip(keys, at, shots, strict=True):
             with named(shot.name):
                 fields.append(remembered(known, key, partial(self._field, asked, wanted, shot.scene)))
-        scenes = {key: shot.scene for key, shot in zip(keys, shots, strict=True)}
-        fine = {key: self._fine(asked, scene) for key, scene in scenes.items()}
-        grids = [fine[key].of_groups for key in keys]
-        return Anchor(shots, fields, supply, grids, report=self.steps.image, **self.options)
-
-    def _fine(self, asked: AnchorRequest, scene: Scene) -> ModuleTwin:
-        """A twin of a module that lands as many exits as Monte Carlo has histories, in as many groups."""
-        blocks = blocks_of(asked.histories)
-        seed = int(sha256_of([asked.seed, "fine twin"])[:15], 16)
-        self.steps.say("chip exits")
-        exits = self.source.exits(scene, seed, blocks // BLOCK, report=lambda _: self.steps.say("chip exits"))
-        return ModuleTwin(
-            scene, exits, blocks=blocks // BLOCK, groups=GROUPS, shadow_rays=SHADOW_RAYS, threads=self.threads
-        )
+        return Anchor(shots, fields, supply, report=self.steps.image, **self.options)
 
     def _field(self, asked: AnchorRequest, wanted: ShotRequest, scene: Scene) -> Field:
         """A module's field by Monte Carlo."""

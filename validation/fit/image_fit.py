@@ -28,6 +28,8 @@ from validation.prediction import Anchored
 Real = NDArray[np.float64]
 
 GAP = 0.1  # chi2
+NOISY_GAP = 1.0  # chi2: what derivatives with noise of their own may still promise where nothing is gained
+STALLS = 2  # steps in a row that gain nothing
 POSE_PX = 1e-3
 MAX_ITERATIONS = 40
 MAX_DAMPING = 1e6
@@ -91,18 +93,23 @@ def _unclipped(problem: Problem, values: Real, done: int = 0) -> Fit:
 
 def _descend(problem: Problem, values: Real, done: int = 0) -> Fit:
     """Iterates from `values` to the optimum, or as far as it goes."""
-    evaluation, damping = problem.evaluate(values), 0.0
+    evaluation, damping, stalled = problem.evaluate(values), 0.0, 0
     for iteration in range(done, done + MAX_ITERATIONS):
         white, reduced, columns = linearised(evaluation)
         last = reduced.step()
         if has_converged(problem, reduced, last):
             return conclude(evaluation, white, reduced, columns, last, iteration, converged=True)
-        stepped, damping = _step_down(evaluation, white, reduced, damping)
+        stepped, damping, gained = _step_down(evaluation, white, reduced, damping)
         if stepped is None:  # no step lowers chi2: the prediction and its derivatives disagree
             break
         evaluation = stepped
+        stalled = stalled + 1 if gained < GAP else 0
+        if stalled == STALLS:  # derivatives have noise of their own: what they still promise is theirs
+            break
     white, reduced, columns = linearised(evaluation)
-    return conclude(evaluation, white, reduced, columns, reduced.step(), iteration + 1, converged=False)
+    last = reduced.step()
+    near = reduced.chi2 - last.chi2 < NOISY_GAP
+    return conclude(evaluation, white, reduced, columns, last, iteration + 1, converged=near)
 
 
 def linearised(evaluation: Evaluation, white: Whitening | None = None) -> tuple[Whitening, Reduced, Real]:
@@ -131,18 +138,18 @@ def pose_move_px(problem: Problem, change: Real) -> float:
 
 def _step_down(
     evaluation: Evaluation, white: Whitening, reduced: Reduced, damping: float
-) -> tuple[Evaluation | None, float]:
-    """The next evaluation whose chi2, under the same whitening, is lower; and the damping for the one after."""
+) -> tuple[Evaluation | None, float, float]:
+    """The next evaluation whose chi2, under the same whitening, is lower; the next damping; what was gained."""
     problem = evaluation.problem
     while damping <= MAX_DAMPING:
         step = reduced.step(damping, short=True)
         trial = problem.evaluate(problem.unknowns.within(evaluation.values + step.change))
         residual = trial.residual(white)
         chi2 = float(residual @ residual) + prior_chi2(problem.unknowns.parameters, trial.values)
-        if chi2 <= reduced.chi2 + 1e-9 * abs(reduced.chi2):
-            return trial, 0.0 if damping < 1e-4 else damping / 10.0
+        if chi2 <= reduced.chi2 + GAP:
+            return trial, 0.0 if damping < 1e-4 else damping / 10.0, reduced.chi2 - chi2
         damping = max(10.0 * damping, 1e-3)
-    return None, damping
+    return None, damping, 0.0
 
 
 def _moved(found: Fit, before: Fit, paths: Sequence[str]) -> float:

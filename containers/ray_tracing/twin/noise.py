@@ -20,8 +20,6 @@ Real = NDArray[np.float64]
 
 CUT = 1.3 * 10.65
 """Wave number times height up to which a module's field has waves, the taper of its modes included."""
-WIDEST = 4.0
-"""The same, for what a twin neglects: its errors are smoother than the light."""
 MOST_FUNCTIONS = 200
 BEYOND = 0.5
 """Heights by which the functions' own period passes the pixels, so that they need not be flat at the edge."""
@@ -38,13 +36,12 @@ class NoiseBasis:
     """The functions at the pixels of one image, and the factor that makes them orthogonal.
 
     functions : (function, pixel). factor : (function, function), lower triangle of the weighed normal matrix.
-    weight : (pixel,). wide : how many of the functions are the widest waves. told : their numbers among all.
+    weight : (pixel,). told : their numbers among all.
     """
 
     functions: Real
     factor: Real
     weight: Real
-    wide: int
     told: NDArray[np.intp]
 
     @classmethod
@@ -71,27 +68,20 @@ class NoiseBasis:
         """
         variance = np.maximum(light.ravel(), FAINT * float(light.max()))
         period_um = reach_um + BEYOND * height_um
-        functions, wave = _functions(x_um.ravel(), y_um.ravel(), period_um, height_um, symmetric)
+        functions = _functions(x_um.ravel(), y_um.ravel(), period_um, height_um, symmetric)
         if like is None:
             left = np.abs(np.diagonal(_triangle(functions)))  # of a function, beside those before it
             told = np.flatnonzero(left > ALIKE * np.linalg.norm(functions, axis=1)[: left.size])
         else:
             told = like.told
-        functions, wave = functions[told], wave[told]
-        wide = int(np.count_nonzero(wave * np.pi / period_um * height_um <= WIDEST))
-        return cls(functions * np.sqrt(variance), _triangle(functions).T, 1.0 / variance, wide, told)
+        functions = functions[told]
+        return cls(functions * np.sqrt(variance), _triangle(functions).T, 1.0 / variance, told)
 
     def amplitudes(self, images: Real) -> Real:
         """Of images (..., row, column): (..., function) in the orthogonal functions."""
         pixels = images.reshape(*images.shape[:-2], -1)
         right = (pixels * self.weight) @ self.functions.T
         return np.asarray(solve_triangular(self.factor, right.reshape(-1, len(self.factor)).T, lower=True).T)
-
-    def widest(self, images: Real) -> Real:
-        """Of images (..., row, column) the part in the widest waves, those of `WIDEST` over the height and below."""
-        orthogonal = solve_triangular(self.factor, self.functions, lower=True)[: self.wide]
-        amplitudes = self.amplitudes(images)[..., : self.wide]
-        return np.asarray((amplitudes @ orthogonal).reshape(images.shape))
 
 
 def noise_columns(deviations: Real, basis: NoiseBasis, first: NoiseBasis) -> Real:
@@ -115,8 +105,8 @@ def noise_columns(deviations: Real, basis: NoiseBasis, first: NoiseBasis) -> Rea
     return np.asarray((scale[:, None] * transfer).reshape(-1, *deviations.shape[1:]))
 
 
-def _functions(x_um: Real, y_um: Real, period_um: float, height_um: float, symmetric: bool) -> tuple[Real, Real]:
-    """(function, pixel), widest waves first, and their wave numbers in pi / period (function,).
+def _functions(x_um: Real, y_um: Real, period_um: float, height_um: float, symmetric: bool) -> Real:
+    """(function, pixel), widest waves first.
 
     Products of cosines, alike in x and y; of cosines and sines where the module is not symmetric.
     """
@@ -126,7 +116,7 @@ def _functions(x_um: Real, y_um: Real, period_um: float, height_um: float, symme
     places = [(m, n) for m in range(len(waves)) for n in range(m + 1 if symmetric else len(waves))]
     places = sorted(places, key=lambda p: float(np.hypot(waves[p[0]], waves[p[1]])))[:MOST_FUNCTIONS]
     found = [along[0][m] * along[1][n] + (along[0][n] * along[1][m] if symmetric else 0.0) for m, n in places]
-    return np.array(found), np.array([np.hypot(waves[m], waves[n]) for m, n in places])
+    return np.array(found)
 
 
 def _triangle(functions: Real) -> Real:

@@ -1,12 +1,10 @@
 """What cameras would see at parameters near an anchor, and how that changes with each parameter.
 
-    prediction(theta) = twin(theta) - twin(anchor) + fine twin(anchor) + widest waves of what Monte Carlo adds to it
+    prediction(theta) = Monte Carlo at the anchor + twin(theta) - twin(anchor)
 
-The twin's noise is nearly the same at both and cancels. The fine twin lands as many exits as Monte Carlo has
-histories, and every exit serves all chips: in a module its noise is that of many times more histories. What it
-neglects is smooth, so Monte Carlo corrects its widest waves only. The noise left is the same at all parameters, and
-its covariance is known. All images here are irradiance in 1/mm^2 per flux of a chip, before gain and what the sensor
-does (`camera.response`): up to there a camera is linear.
+The twin's own error is nearly the same at both and cancels; what is left of the noise is that of one Monte Carlo run,
+the same at all parameters, and its covariance is known. All images here are irradiance in 1/mm^2 per flux of a chip,
+before gain and what the sensor does (`camera.response`): up to there a camera is linear.
 """
 
 from __future__ import annotations
@@ -140,8 +138,6 @@ class Anchor:
     ----------
     fields : of the modules, by Monte Carlo, one for each shot, with equally many groups; the same object where one
         run is seen by several cameras. None: no Monte Carlo, only chips whose exits stand for those of others.
-    fine : of the same modules maps (group, y, x) by a twin with many exits, equally many groups. None: Monte Carlo
-        stands for itself in all its waves.
     """
 
     def __init__(
@@ -149,7 +145,6 @@ class Anchor:
         shots: Sequence[Shot],
         fields: Sequence[Field] | None,
         supply: Supply,
-        fine: Sequence[Grid] | None = None,
         *,
         report: Report = nothing,
         **options: int,
@@ -162,13 +157,8 @@ class Anchor:
         if len(shots) != len(fields) or len({field.groups for field in fields}) != 1:
             raise InputError("fields", len(fields), f"{len(shots)}, one for each shot, with equally many groups")
         replicas = _replicas([field.grid for field in fields], shots, report)
-        bases = bases_of(shots, fields, replicas.mean(axis=0))
-        if fine is not None:
-            finer = _replicas(fine, shots, report)
-            for number, basis in enumerate(bases):
-                finer[:, number] += basis.widest(replicas[:, number] - finer[:, number])
-            replicas = finer
         mean, groups = replicas.mean(axis=0), len(replicas)
+        bases = bases_of(shots, fields, mean)
         first = [next(i for i, one in enumerate(fields) if one is field) for field in fields]
         deviations = (replicas - mean) / np.sqrt(groups * (groups - 1.0))
         columns = [noise_columns(deviations[:, i], bases[n], bases[i]) for n, i in enumerate(first)]
