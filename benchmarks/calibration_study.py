@@ -244,9 +244,8 @@ def tell(pulls: Any, first: Any, alarms: Any, untrusted: int, model_noise: Seque
     print("alarms of the structure test, nothing hidden")
     for name, found in alarms.items():
         p = np.array(found)
-        print(
-            f"  {name:20} at 1 %: {share(int((p < 0.01).sum()), p.size)}; at 5 %: {share(int((p < 0.05).sum()), p.size)}"
-        )
+        one, five = (share(int((p < level).sum()), p.size) for level in (0.01, 0.05))
+        print(f"  {name:20} at 1 %: {one}; at 5 %: {five}")
     print(f"fits not trusted: {untrusted}")
 
 

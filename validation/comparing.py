@@ -27,6 +27,8 @@ Real = NDArray[np.float64]
 
 SEEN = 0.01
 """A p-value below which a shot is said to differ: one in a hundred shots does by chance."""
+ALL = "all images"
+"""In place of a shot's id, where the images were summed up."""
 NULLS = "nulls"
 """Folder in the cache: the distribution of noise after a fit depends on its layout, not on its data."""
 
@@ -90,7 +92,7 @@ class Comparison:
                 "p": found.p, "p_text": found.p_text, "z": found.z, "statistic": found.statistic,
                 "draws": found.draws, "seed": found.seed, "chi2_per_pixel": self.fit.chi2_per_row,
                 "variance_scale": found.variance_scale, "model_noise_share": self.model_noise_share,
-                "family": worst.family if worst else "", "shot": worst.shot if worst else None,
+                "family": worst.family if worst else "", "shot": worst.shot or ALL if worst else "",
                 "region": worst.words if worst else "",
                 "families": [{"name": one.name, "z": one.z, "p": one.p} for one in found.families],
             },
@@ -216,7 +218,7 @@ def region_document(region: Region) -> dict[str, Any]:
     """A region as plain values."""
     return {
         "family": region.family,
-        "shot": region.shot,
+        "shot": region.shot or ALL,
         "region": region.words,
         "z": region.z,
         "log_chance": region.log_chance,

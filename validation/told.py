@@ -36,7 +36,7 @@ def comparison(document: Document) -> Iterator[str]:
 def regions(document: Document) -> Iterator[str]:
     """Where the model fails, the least likely first."""
     rows = [
-        (f"{region['z']:+.1f}", region["family"], region["region"], region["shot"] or "all images")
+        (f"{region['z']:+.1f}", region["family"], region["region"], region["shot"])
         for region in document["regions"][:REGIONS]
     ]
     yield from table(("sigma", "seen in", "where", "shot"), rows)

@@ -18,6 +18,8 @@ from validation.prediction import Pose
 Real = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
+MOST_MODEL_NOISE = 0.3  # rms, of the camera's: a tenth of its variance
+
 
 @dataclass(frozen=True, eq=False)
 class Fit:
@@ -142,7 +144,10 @@ def conclude(
         gap=gap,
         converged=converged,
         at_limit=at_limit,
-        distrust=tuple(_reasons(evaluation.problem, reduced, active, at_limit, gap, converged, freedom)),
+        distrust=(
+            *_reasons(evaluation.problem, reduced, active, at_limit, gap, converged, freedom),
+            *_of_noise(evaluation.problem, noise),
+        ),
     )
 
 
@@ -154,6 +159,18 @@ def _covariance(reduced: Reduced, columns: Real, noise: Real, scale: float, acti
     finite = np.where(np.isfinite(camera), camera, 0.0)
     moved = finite @ (columns @ noise.T) / scale
     return np.asarray(camera + moved @ moved.T)
+
+
+def _of_noise(problem: Problem, noise: Real) -> list[str]:
+    """Why a noisy prediction may not be trusted: it lowers the gains, and shapes bend to make up for it."""
+    share = float(np.sqrt((noise**2).sum(axis=0).mean())) if len(noise) else 0.0
+    if share <= MOST_MODEL_NOISE or problem.anchor is None:
+        return []
+    needed = int(float(f"{problem.anchor.histories * (share / MOST_MODEL_NOISE) ** 2:.1g}"))
+    return [
+        f"the Monte Carlo's own noise is {share:.2f} of the camera's, above {MOST_MODEL_NOISE:g}: about"
+        f" {needed:,} histories for each sample would do"
+    ]
 
 
 def _reasons(

@@ -1,0 +1,123 @@
+"""Model and data side by side, on an analytic predictor: what is told, and what is not trusted."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from luxloop.errors import InputError
+from luxloop.model_file import find_model
+from tests.validation import test_fit_images as spots
+from validation import told
+from validation.calibrate_command import paths_of
+from validation.comparing import Solver, compared
+from validation.observed import Observed
+from validation.profiles import profiles
+from validation.virtual_realistic import KINDS, Candidate, Experiment, errors_of, line_of
+
+
+def observed() -> Observed:
+    """Two images with the noise of a camera."""
+    return Observed(tuple(spots._data()), (), (), {})
+
+
+def test_a_model_that_is_right_differs_by_noise_alone() -> None:
+    """No shot is called different, chi2 is 1 per pixel, and the document is plain JSON."""
+    found = compared(spots.MODEL, observed(), spots.Spots(), Solver(None), free=tuple(spots.MODEL.fit))
+    assert found.differ == []
+    assert found.structure.p > 0.01
+    document = json.loads(json.dumps(found.document(), allow_nan=False))
+    assert [shot["id"] for shot in document["shots"]] == list(found.observed.shots)
+    for shot in document["shots"]:
+        assert shot["rms_error_percent"] == pytest.approx(shot["noise_percent"], rel=0.1)
+        assert shot["chi2_per_pixel"] == pytest.approx(1.0, abs=0.15)
+    assert "none of the" in document["sentence"]
+    assert document["solver"]["method"] == "twin"
+
+
+def test_residuals_are_measured_less_model_in_standard_deviations() -> None:
+    """Of each image; NaN where a pixel is not used."""
+    found = compared(spots.MODEL, observed(), spots.Spots(), Solver(None))
+    arrays = found.arrays()
+    for image in found.fit.problem.images:
+        left = arrays[f"{image.shot.id}/measured_dn"] - arrays[f"{image.shot.id}/model_dn"]
+        sd = np.sqrt(image.variance_dn2(arrays[f"{image.shot.id}/model_dn"]))
+        z = arrays[f"{image.shot.id}/z"]
+        assert np.isfinite(z).sum() == image.used.sum()
+        np.testing.assert_allclose(z[image.used], (left / sd)[image.used], atol=0.1)
+
+
+def test_every_image_has_its_profiles() -> None:
+    """Against distance, azimuth, radius and frequency; most points lie in the band of noise."""
+    found = compared(spots.MODEL, observed(), spots.Spots(), Solver(None), free=tuple(spots.MODEL.fit))
+    rows = profiles(found.fit)
+    for image in found.fit.problem.images:
+        against = {row["against"] for row in rows if row["shot"] == image.shot.id}
+        assert against == {"distance from the nearest chip", "azimuth", "field radius", "spatial frequency"}
+    inside = [
+        abs(value) <= band
+        for row in rows
+        if "relative_percent" in row
+        for value, band in zip(row["relative_percent"], row["band_percent"], strict=True)
+    ]
+    assert np.mean(inside) > 0.9
+
+
+def test_the_table_has_a_line_for_every_shot() -> None:
+    """And says what may not be trusted of the twin alone."""
+    found = compared(spots.MODEL, observed(), spots.Spots(), Solver(None))
+    text = "\n".join(told.comparison(found.document()))
+    assert all(shot in text for shot in found.observed.shots)
+    assert "By the twin alone" in text
+
+
+def test_a_straight_line_is_found_with_its_weights() -> None:
+    """Slope and intercept; a point without weight has no say."""
+    x = np.linspace(0.0, 1.0, 9)
+    y = 3.0 * x + 0.5
+    y[4] = 100.0
+    weight = np.ones(9)
+    weight[4] = 0.0
+    assert line_of(x, y, weight) == pytest.approx((3.0, 0.5))
+
+
+def test_the_error_of_eq_1_is_what_gain_and_offset_leave() -> None:
+    """0 for any gain and offset of the same image; in DN^2 as large as what was added to it."""
+    image = spots._data()[0]
+    light = (image.signal_dn - 5.0) / 700.0
+    mse, mse_dn2, chi2 = errors_of(image, light)
+    assert (mse, mse_dn2, chi2) == pytest.approx((0.0, 0.0, 0.0), abs=1e-18)
+    rng = np.random.default_rng(1)
+    noisy = light + rng.standard_normal(light.shape) * 2.0 / 700.0
+    assert errors_of(image, noisy)[1] == pytest.approx(4.0, rel=0.2)
+
+
+def test_a_candidate_changes_one_surface_and_its_fit() -> None:
+    """A Lambertian surface has no sigma, so no fit of one; the other surface stays."""
+    model = find_model("paper")
+    changed = Candidate("substrate", "Lambertian", 0.95).applied(model)
+    assert changed.environment.substrate.scatter == "lambertian"
+    assert changed.environment.substrate.reflectance == 0.95
+    assert "environment.substrate.sigma_deg" not in changed.fit
+    assert changed.environment.receiver == model.environment.receiver
+    assert (
+        Candidate("receiver", "Gaussian 5 deg", 0.3).applied(model).environment.receiver.sigma_deg
+        == KINDS["Gaussian 5 deg"]
+    )
+
+
+def test_an_experiment_needs_images_of_both_layouts() -> None:
+    """Said by name, before anything is predicted."""
+    experiment = Experiment((), {}, spots.Spots(), Solver(None).anchor(spots.MODEL))
+    with pytest.raises(InputError, match="layout single"):
+        experiment.stage(find_model("paper"), "substrate", lambda *_: None)
+
+
+def test_what_has_no_limits_cannot_be_fitted() -> None:
+    """Names what can be."""
+    model = find_model("paper")
+    assert "environment.substrate.reflectance" in paths_of(model, None)
+    with pytest.raises(InputError, match=r"environment\.n_gan"):
+        paths_of(model, "environment.n_gan")
