@@ -230,5 +230,5 @@ def test_for_people_the_first_difference_is_named(tmp_path: Path) -> None:
     """A table of verdicts, then step, name, both values, and the verdict in a sentence."""
     folder = planted(tmp_path / "r", step_changed(WALK, reward=0.5))
     text = CliRunner().invoke(app, [str(folder), "--level", "2"]).stdout
-    assert "first difference: step 1 (lane 0, action 1), reward: logged 0.5, now 0.0329" in text
+    assert "first difference: step 1 (lane 0, action 1), reward: logged 0.5, now 0.0327" in text
     assert "verdict      it differs: 1 of " in text

@@ -232,7 +232,7 @@ def test_an_anchored_image_is_monte_carlo_there(workers: Workers, model: Model) 
     here, there = (predictor.images(one, views, (), at) for one in (model, beside))
     twin_here, twin_there = (predictor.images(one, views) for one in (model, beside))
     assert here[0].noise_per_mm2 is not None
-    assert here[0].noise_per_mm2.shape == (32, 12, 12)
+    assert here[0].noise_per_mm2.shape[1:] == (12, 12)
     for a, b, twin_a, twin_b in zip(here, there, twin_here, twin_there, strict=True):
         error = np.sqrt((a.noise_per_mm2**2).sum(axis=0))  # type: ignore[operator]
         assert 0.0 < error.mean() < 0.1 * a.irradiance_per_mm2.mean()
