@@ -37,7 +37,7 @@ from validation.contrasts import structure
 from validation.dataset.manifest import CameraFacts, ImageShot, Sample
 from validation.dataset.simulate import DECLARED, expected_images, paper_plan, views_of
 from validation.fit import Fit, fit
-from validation.fit.problem import ImagePredictor
+from validation.fit.problem import ImagePredictor, view_of
 from validation.measured import MeasuredImage
 from validation.noise import draw
 from validation.prediction import Anchored, Predicted, Predictor, View
@@ -92,10 +92,7 @@ class Linear:
     def __init__(self, at: Fit, predictor: ImagePredictor) -> None:
         problem = at.problem
         paths = (*problem.unknowns.model_paths, "shift_row_px", "shift_column_px", "rotation_deg")
-        views = [
-            View(one.sample, *one.signal_dn.shape, one.pixel_um, one.centre_px, at.poses[one.shot.id])  # type: ignore[call-arg]
-            for one in problem.images
-        ]
+        views = [view_of(one, at.poses[one.shot.id]) for one in problem.images]
         self._views, self._model = views, at.model
         self._found = predictor.images(at.model, views, paths, problem.anchor)
 

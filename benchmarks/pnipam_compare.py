@@ -19,7 +19,8 @@ from luxloop.client import Client
 from luxloop.model_file import find_model
 from luxloop.settings import load_settings
 from validation.dataset.folder import read_dataset, write_sums
-from validation.fit import CurvesOf, Fit, fit
+from validation.fit import CurveData, CurvesOf, Fit, fit
+from validation.measured import MeasuredSpectrum
 from validation.observed import Observed
 from validation.prediction import Predictor
 from validation.prediction.spectra import with_film_value
@@ -65,6 +66,12 @@ def fitted(observed: Observed, predictor: Predictor) -> Fit:
     return fit(find_model("paper"), (), predictor, free=(), curves=observed.curves, **found)
 
 
+def spectrum_of(curve: CurveData) -> MeasuredSpectrum:
+    """What a curve was made of."""
+    assert isinstance(curve.source, MeasuredSpectrum)
+    return curve.source
+
+
 def left_out(observed: Observed, predictor: Predictor) -> float:
     """Chi2 per value on each angle, with the film fitted to the others."""
     chi2, count = 0.0, 0
@@ -72,10 +79,10 @@ def left_out(observed: Observed, predictor: Predictor) -> float:
         own = [one for one in observed.curves if one.id.split("-")[1] == angle]
         others = [one for one in observed.curves if one not in own]
         found = fitted(replace(observed, curves=tuple(others)), predictor)
-        film = own[0].source.film  # type: ignore[attr-defined]
+        film = spectrum_of(own[0]).film
         for parameter in observed.films:
             film = with_film_value(film, parameter.name, found.value(parameter.name))
-        held = tuple(replace(one, source=replace(one.source, film=film)) for one in own)  # type: ignore[type-var]
+        held = tuple(replace(one, source=replace(spectrum_of(one), film=film)) for one in own)
         there = fitted(replace(observed, curves=held, films=(), films_at={}), predictor)
         chi2, count = chi2 + there.chi2, count + there.residual.size
     return chi2 / count

@@ -45,6 +45,9 @@ def calibrate(
         str | None, typer.Option(help="Parameters to fit, with commas; default: those that the file frees.")
     ] = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Leave the model file as it is.")] = False,
+    force: Annotated[
+        bool, typer.Option("--force", help="Write the model file even where the fit is not to be trusted.")
+    ] = False,
     twin: Twin = False,
     histories: Histories = HISTORIES,
     seed: Seed = 1,
@@ -93,7 +96,9 @@ def calibrate(
             "run": at.door.run, "folder": at.door.begun.folder,
         }  # fmt: skip
         at.record(document, found.after.residual_maps())
-    if not dry_run:
+    if dry_run or not (found.after.fit.trusted or force):
+        document["version"] = None
+    else:
         kept = found.after.fit.model.model_copy(update={"data": subject.with_data.data})
         version = subject.saved(kept, "calibrate", errors_of(found.after))
         document["version"] = version.number if version else None

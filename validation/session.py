@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from luxloop import __version__
-from luxloop.campaign import Fidelity, Plan
+from luxloop.campaign import MAX_ATTACHMENT, Fidelity, Plan
 from luxloop.client import Client, as_task
 from luxloop.design import Bounds, Design
 from luxloop.door import RunDoor
@@ -175,8 +175,10 @@ def _box(designs: Sequence[Design]) -> Bounds:
 
 
 def _attachments(subject: Subject) -> dict[str, str]:
+    """The model file, and the manifest unless it is too long for an attachment: its hash is on record anyway."""
     manifest = (subject.dataset.folder / MANIFEST).read_text(encoding="utf-8-sig")
-    return {"model.toml": to_toml(subject.model), MANIFEST: manifest}
+    files = {"model.toml": to_toml(subject.model), MANIFEST: manifest}
+    return {name: text for name, text in files.items() if len(text) <= MAX_ATTACHMENT}
 
 
 def _near(folder: Path, here: Path) -> str:

@@ -117,6 +117,10 @@ def calibration(document: Document) -> Iterator[str]:
     yield f"{document['sentence']}; {left}."
     if not document["trusted"]:
         yield f"Not to be trusted: {document['reason']}."
+    if document.get("version") is None:
+        yield f"{document['model']['file']} is as it was."
+    else:
+        yield f"{document['model']['file']} is version {document['version']}; luxloop model undo takes it back."
 
 
 def _fitted(row: Document) -> tuple[str, ...]:

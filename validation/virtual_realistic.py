@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 from luxloop.errors import InputError
 from luxloop.model import Model, Surface
 from luxloop.words import parse
-from validation.fit.problem import ImagePredictor
+from validation.fit.problem import ImagePredictor, view_of
 from validation.measured import MeasuredImage
-from validation.prediction import Anchored, Pose, View
+from validation.prediction import Anchored, Pose
 
 Real = NDArray[np.float64]
 Part = Literal["substrate", "receiver"]
@@ -192,12 +192,6 @@ def _least(tried: Sequence[Tried], which: int) -> Stage:
         if own not in best or one.mse < best[own].mse:
             best[own] = replace(one, candidates=(other, own))
     return Stage(PARTS[which], tuple(best.values()))
-
-
-def view_of(image: MeasuredImage, pose: Pose) -> View:
-    """The camera of a measured image."""
-    rows, columns = image.signal_dn.shape
-    return View(image.sample, rows, columns, image.pixel_um, image.centre_px, pose)
 
 
 def errors_of(image: MeasuredImage, irradiance_per_mm2: Real) -> tuple[float, float, float]:

@@ -49,7 +49,7 @@ from luxloop.words import sha256_of
 FilmOf = Callable[[Film], FilmTable]
 
 MOST_VALUES = 1 << 25
-"""Of an answer: the pixels of all shots, once for the images, for each column, and for each group of an anchor."""
+"""Of an answer: the pixels of all shots, once for the images, for each column, and for each function of noise."""
 MOST_CHIPS = 2_500
 """Of a module: its image takes 2.4 s (5 x 5: 20 ms), and within an image nobody listens for a cancel."""
 HELD_BYTES = 128 << 20
@@ -229,7 +229,7 @@ def _columns(request: PredictionRequest) -> tuple[list[Column], list[CameraColum
 def _refuse_too_much(request: PredictionRequest) -> None:
     """InputError where the answer would be too large; before anything is built."""
     pixels = sum(shot.camera.rows * shot.camera.columns for shot in request.shots)
-    times = 1 + len(request.columns) + (max(GROUPS, MOST_FUNCTIONS) if request.anchor is not None else 0)
+    times = 1 + len(request.columns) + (MOST_FUNCTIONS if request.anchor is not None else 0)
     if pixels * times > MOST_VALUES:
         mend = "fewer pixels or columns at once: ask in parts"
         raise InputError("shots", f"{pixels} pixels x {times} images of each", f"a product up to {MOST_VALUES}", mend)

@@ -12,6 +12,7 @@ from luxloop.model_file import find_model
 from tests.validation import test_fit_images as spots
 from validation import told
 from validation.calibrate_command import paths_of
+from validation.calibration import calibrated
 from validation.comparing import Solver, compared
 from validation.observed import Observed
 from validation.profiles import profiles
@@ -121,3 +122,17 @@ def test_what_has_no_limits_cannot_be_fitted() -> None:
     assert "environment.substrate.reflectance" in paths_of(model, None)
     with pytest.raises(InputError, match=r"environment\.n_gan"):
         paths_of(model, "environment.n_gan")
+
+
+def test_a_calibration_tells_values_errors_and_what_became_of_the_file() -> None:
+    """By the fit alone: every fitted parameter with its interval and profile; the file only where it was written."""
+    free = list(spots.MODEL.fit)
+    found = calibrated(spots.MODEL, observed(), spots.Spots(), Solver(None), way=None, free=free)
+    document = json.loads(json.dumps(found.document(), allow_nan=False)) | {"model": {"file": "mine.toml"}}
+    assert [row["path"] for row in document["fit"]["parameters"]] == free
+    for row in document["fit"]["parameters"]:
+        assert row["lower95"] < row["value"] < row["upper95"]
+    assert {one["path"] for one in document["fit"]["profiles"]} == set(free)
+    assert all(min(one["chi2"]) > -0.5 for one in document["fit"]["profiles"])
+    assert "mine.toml is as it was" in "\n".join(told.calibration(document | {"version": None}))
+    assert "mine.toml is version 3" in "\n".join(told.calibration(document | {"version": 3}))

@@ -285,3 +285,13 @@ def test_what_cannot_be_fitted_is_refused(change, names):
     with pytest.raises(InputError) as error:
         fit(MODEL, images, Spots(), free=free)
     assert error.value.field == names
+
+
+def test_a_fit_that_monte_carlo_noise_dominates_is_not_trusted():
+    """It says by how much, and how many histories would do; little noise is not spoken of."""
+    for share, words in ((0.001, False), (30.0, True)):
+        image = _data()[0]
+        noise = {"single": share * np.sqrt(image.variance_dn2(image.signal_dn))[None] / 700.0}
+        found = fit(MODEL, _data(), Spots(noise), anchor_at=lambda model: Anchored(model, 1000))
+        assert any("histories for each sample" in reason for reason in found.distrust) == words
+        assert found.trusted != words

@@ -59,7 +59,7 @@ def model() -> Model:
 
 def test_views_of_one_size_are_one_request(workers: Workers, model: Model) -> None:
     """Two samples cost one question; a third of another size one more; the order is that of the views."""
-    predictor = Predictor(workers)  # type: ignore[arg-type]  # answers as a client does
+    predictor = Predictor(workers)
     found = predictor.images(model, [view(), view(FOUR), view(size=10), view(FOUR)])
     assert [len(request.shots) for request in workers.of_kind("ray")] == [1, 3]
     assert [one.irradiance_per_mm2.shape for one in found] == [(12, 12), (12, 12), (10, 10), (12, 12)]
@@ -71,7 +71,7 @@ def test_a_sample_is_asked_for_as_it_stands(workers: Workers, model: Model) -> N
     """Its design, its half width (2 mm around a single), its film, its camera."""
     turned = view(FOUR, pose=Pose((0.5, -1.0), 2.0))
     single = replace(view(), sample=SINGLE.model_copy(update={"module_half_um": None}))
-    Predictor(workers).images(model, [turned, single])  # type: ignore[arg-type]
+    Predictor(workers).images(model, [turned, single])
     (request,) = workers.of_kind("ray")
     four, one = request.shots
     assert (four.array.rows, four.array.columns, four.array.half_um) == (2, 2, 400.0)
@@ -84,7 +84,7 @@ def test_a_sample_is_asked_for_as_it_stands(workers: Workers, model: Model) -> N
 
 def test_films_are_asked_for_once(workers: Workers, model: Model) -> None:
     """What is no part of the film moves without a new question; the film's own layers do not."""
-    predictor = Predictor(workers)  # type: ignore[arg-type]
+    predictor = Predictor(workers)
     for reflectance in (0.30, 0.32):
         predictor.images(model.with_value(RECEIVER, reflectance), [view(FOUR)])
     assert len(workers.of_kind("film")) == 1
@@ -96,7 +96,7 @@ def test_a_table_that_has_gone_is_computed_again(folder: Path, model: Model) -> 
     """Once; a second loss is told."""
     workers = Workers(folder)
     workers.lost.add(workers.run(_film_request(model)).result["table_sha256"])
-    predictor = Predictor(workers)  # type: ignore[arg-type]
+    predictor = Predictor(workers)
     assert predictor.images(model, [view(FOUR)])[0].irradiance_per_mm2.max() > 0.0
 
     class Forgetful(Workers):
@@ -105,13 +105,13 @@ def test_a_table_that_has_gone_is_computed_again(folder: Path, model: Model) -> 
             return super()._fetch(sha256, size)
 
     with pytest.raises(RemoteError, match="nobody holds"):
-        Predictor(Forgetful(folder)).images(model, [view(FOUR)])  # type: ignore[arg-type]
+        Predictor(Forgetful(folder)).images(model, [view(FOUR)])
 
 
 def _film_request(model: Model) -> Any:
     asked = Recorder()
     with pytest.raises(LookupError):
-        Predictor(asked).images(model, [view(FOUR)])  # type: ignore[arg-type]
+        Predictor(asked).images(model, [view(FOUR)])
     return asked.request
 
 
@@ -129,7 +129,7 @@ STEPS = {SUBSTRATE: 5e-3, RECEIVER: 0.02, LOSS: 6.0}
 
 def test_derivatives_are_differences_of_images_in_the_units_of_the_model(workers: Workers, model: Model) -> None:
     """By reflectances as shares, by loss per cm: from one request beside the images, one column each."""
-    predictor = Predictor(workers)  # type: ignore[arg-type]
+    predictor = Predictor(workers)
     views = [view(), view(FOUR)]
     found = predictor.images(model, views, tuple(STEPS))
     assert len(workers.of_kind("ray")) == 2
@@ -145,7 +145,7 @@ def test_derivatives_are_differences_of_images_in_the_units_of_the_model(workers
 
 def test_a_lobes_width_is_differentiated_per_degree(workers: Workers, model: Model) -> None:
     """Its column is asked for in radians and comes back pi / 180 as large."""
-    found = Predictor(workers).images(model, [view()], (SIGMA,))  # type: ignore[arg-type]
+    found = Predictor(workers).images(model, [view()], (SIGMA,))
     request = next(one for one in workers.of_kind("ray") if one.columns)
     assert request.columns == ("substrate_sigma_rad",)
     column = workers.run(request).arrays["jacobian_per_mm2"][0, 0]
@@ -154,7 +154,7 @@ def test_a_lobes_width_is_differentiated_per_degree(workers: Workers, model: Mod
 
 def test_derivatives_by_the_pose_are_differences_of_moved_cameras(workers: Workers, model: Model) -> None:
     """Per pixel and per degree, beside another column, whatever their order."""
-    predictor = Predictor(workers)  # type: ignore[arg-type]
+    predictor = Predictor(workers)
     found = predictor.images(model, [view(FOUR)], ("shift_column_px", RECEIVER, "shift_row_px", "rotation_deg"))[0]
     moves = {
         "shift_row_px": ((0.1, 0.0), 0.0),
@@ -171,7 +171,7 @@ def test_derivatives_by_the_pose_are_differences_of_moved_cameras(workers: Worke
 
 def test_what_no_worker_differentiates_is_moved(workers: Workers, model: Model) -> None:
     """The derivative by the chip's index predicts another index's image; one that scales lux alone has none."""
-    predictor, path = Predictor(workers), "environment.n_gan"  # type: ignore[arg-type]
+    predictor, path = Predictor(workers), "environment.n_gan"
     found = predictor.images(model, [view()], (path, "environment.flux_per_chip_w"))[0]
     (moved,) = predictor.images(model.with_value(path, 2.4869 + 0.03), [view()])
     change = moved.irradiance_per_mm2 - found.irradiance_per_mm2
@@ -194,7 +194,7 @@ def test_differences_are_asked_for_once_in_an_anchored_fit(
 ) -> None:
     """About the anchor's model and a rounded pose: a small step of the fit asks the same question again."""
     monkeypatch.setattr(images_module, "DIFFERENCE_EXITS", 1 << 15)
-    predictor, at = Predictor(workers), Anchored(model, 1)  # type: ignore[arg-type]
+    predictor, at = Predictor(workers), Anchored(model, 1)
     asked = []
     for step in (0.0, 0.01):
         workers.asked.clear()
@@ -209,7 +209,7 @@ def test_more_shots_than_a_request_holds_are_split(
     workers: Workers, model: Model, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Images and moved models, by count and by pixels: the same as in one request, to the last bit."""
-    predictor = Predictor(workers)  # type: ignore[arg-type]
+    predictor = Predictor(workers)
     views, paths = [view(size=size) for size in (8, 9, 8, 8)], ("environment.flux_per_chip_w", RECEIVER)
     monkeypatch.setattr(images_module, "DIFFERENCE_EXITS", 1 << 15)
     whole = predictor.images(model, views, paths)
@@ -226,7 +226,7 @@ def test_more_shots_than_a_request_holds_are_split(
 
 def test_an_anchored_image_is_monte_carlo_there(workers: Workers, model: Model) -> None:
     """At the anchor twin and twin cancel; beside it the image moves as the twin's, and the noise stays."""
-    predictor, views = Predictor(workers), [view(), view(FOUR)]  # type: ignore[arg-type]
+    predictor, views = Predictor(workers), [view(), view(FOUR)]
     at = Anchored(model, histories=1 << 17, seed=3)
     beside = model.with_value(RECEIVER, 0.30)
     here, there = (predictor.images(one, views, (), at) for one in (model, beside))
@@ -234,10 +234,10 @@ def test_an_anchored_image_is_monte_carlo_there(workers: Workers, model: Model) 
     assert here[0].noise_per_mm2 is not None
     assert here[0].noise_per_mm2.shape[1:] == (12, 12)
     for a, b, twin_a, twin_b in zip(here, there, twin_here, twin_there, strict=True):
-        error = np.sqrt((a.noise_per_mm2**2).sum(axis=0))  # type: ignore[operator]
+        error = np.sqrt((a.noise_per_mm2**2).sum(axis=0))
         assert 0.0 < error.mean() < 0.1 * a.irradiance_per_mm2.mean()
         assert np.abs(a.irradiance_per_mm2 - twin_a.irradiance_per_mm2).mean() < 4.0 * error.mean()
-        np.testing.assert_array_equal(a.noise_per_mm2, b.noise_per_mm2)  # type: ignore[arg-type]
+        np.testing.assert_array_equal(a.noise_per_mm2, b.noise_per_mm2)
         moved, expected = (
             b.irradiance_per_mm2 - a.irradiance_per_mm2,
             twin_b.irradiance_per_mm2 - twin_a.irradiance_per_mm2,
@@ -247,7 +247,7 @@ def test_an_anchored_image_is_monte_carlo_there(workers: Workers, model: Model) 
 
 def test_an_anchor_is_seen_from_its_own_poses(workers: Workers, model: Model) -> None:
     """None are given: unmoved cameras, whatever the views'; as many as views, or it is refused."""
-    predictor, pose = Predictor(workers), Pose((0.3, 0.0), 1.0)  # type: ignore[arg-type]
+    predictor, pose = Predictor(workers), Pose((0.3, 0.0), 1.0)
     for poses, expected in (((), Pose()), ((pose,), pose)):
         workers.asked.clear()
         predictor.images(model, [view(pose=pose)], (), Anchored(model, 1, poses=poses))
@@ -259,7 +259,7 @@ def test_an_anchor_is_seen_from_its_own_poses(workers: Workers, model: Model) ->
 
 def test_monte_carlo_images_have_random_numbers_of_their_own(workers: Workers, model: Model) -> None:
     """Two views of one sample differ by noise, the same seed repeats both, and both are near the twin."""
-    predictor, views, heard = Predictor(workers), [view(), view()], []  # type: ignore[arg-type]
+    predictor, views, heard = Predictor(workers), [view(), view()], []
     one, other = predictor.monte_carlo(model, views, 1 << 17, 5, lambda done, of: heard.append((done, of)))
     again = predictor.monte_carlo(model, views, 1 << 17, 5)
     assert heard == [(1, 2), (2, 2)]
@@ -280,7 +280,7 @@ BAD = [
 def test_a_path_that_is_no_number_is_refused(workers: Workers, model: Model, path: str, field: str) -> None:
     """Misspelt, a word, not of the physics."""
     with pytest.raises(InputError) as caught:
-        Predictor(workers).images(model, [view()], (path,))  # type: ignore[arg-type]
+        Predictor(workers).images(model, [view()], (path,))
     assert caught.value.field == field
 
 
@@ -292,7 +292,7 @@ def test_a_width_that_a_surface_does_not_have_fails(workers: Workers) -> None:
         clear.model_dump() | {"environment": clear.environment.model_dump() | {"substrate": surface}}
     )
     with pytest.raises(RemoteError) as caught:
-        Predictor(workers).images(dull, [view()], (SIGMA,))  # type: ignore[arg-type]
+        Predictor(workers).images(dull, [view()], (SIGMA,))
     assert caught.value.failure.field == "shots.0.substrate"
 
 
@@ -328,16 +328,16 @@ def test_rows_of_a_curve_are_the_instruments_readings(workers: Workers, model: M
     from containers.thin_film.film_measurement import measure
 
     asked = curve(quantity)
-    (found,) = Predictor(workers).spectra(model, [asked])  # type: ignore[arg-type]
+    (found,) = Predictor(workers).spectra(model, [asked])
     rows = zip(asked.wavelength_nm, asked.aoi_deg, asked.polarisation, strict=True)
-    expected = [measure(stack_of(FILM), quantity, wave, aoi, one or "u")[0, 0] for wave, aoi, one in rows]  # type: ignore[arg-type]
+    expected = [measure(stack_of(FILM), quantity, wave, aoi, one or "u")[0, 0] for wave, aoi, one in rows]
     np.testing.assert_allclose(found.value, expected, rtol=1e-12)
     assert len(workers.of_kind("film")) == (3 if quantity == "R" else 1)
 
 
 def test_derivatives_of_curves_are_those_of_moved_films(workers: Workers, model: Model) -> None:
     """By a thickness and a Cauchy coefficient of the film; a delta that passes 360 degrees has none of that jump."""
-    predictor = Predictor(workers)  # type: ignore[arg-type]
+    predictor = Predictor(workers)
     steps = {
         f"films.{FILM.id}.layers.0.{name}": h for name, h in (("thickness_nm", 0.02), ("a", 1e-4), ("b_um2", 1e-5))
     }
@@ -360,13 +360,13 @@ def test_derivatives_of_curves_are_those_of_moved_films(workers: Workers, model:
 def test_a_path_that_no_film_has_is_refused(workers: Workers, model: Model, path: str) -> None:
     """Another layer, a coefficient of a named material, nonsense, another film."""
     with pytest.raises(InputError, match="path"):
-        Predictor(workers).spectra(model, [curve()], (path,))  # type: ignore[arg-type]
+        Predictor(workers).spectra(model, [curve()], (path,))
 
 
 def test_a_far_field_is_the_modules(workers: Workers, model: Model) -> None:
     """Its integral over the half space is the light on its first way to the receiver; errors and a derivative too."""
     theta, phi = (axis.ravel() for axis in np.meshgrid(np.arange(0.5, 90.0), np.arange(5.0, 360.0, 10.0)))
-    predictor = Predictor(workers)  # type: ignore[arg-type]
+    predictor = Predictor(workers)
     (found,) = predictor.far_fields(model, [FarView(SINGLE, theta, phi)], (LOSS,), histories=1 << 18)
     weight = np.sin(np.radians(theta)) * np.radians(1.0) * np.radians(10.0)
     stated = workers.run(workers.of_kind("ray")[-1]).result["far_field"]["module"]["flux_ratio"]["value"]

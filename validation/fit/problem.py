@@ -23,7 +23,7 @@ from validation.fit.parameters import (
 )
 from validation.fit.whitening import Whitening, whitening
 from validation.measured import MeasuredImage
-from validation.prediction import POSE_COLUMNS, Anchored, Predicted, PredictedCurve, View
+from validation.prediction import POSE_COLUMNS, Anchored, Pose, Predicted, PredictedCurve, View
 
 Real = NDArray[np.float64]
 
@@ -71,11 +71,7 @@ class Problem:
         return Evaluation(self, values, by_name, model, images, curves)
 
     def _ask_images(self, model: Model, by_name: Mapping[str, float]) -> list[Predicted]:
-        views = []
-        for image in self.images:
-            rows, columns = image.signal_dn.shape
-            pose = pose_of(image, by_name)
-            views.append(View(image.sample, rows, columns, image.pixel_um, image.centre_px, pose))
+        views = [view_of(image, pose_of(image, by_name)) for image in self.images]
         paths = (*self.unknowns.model_paths, *POSE_COLUMNS)
         return self.predictor.images(model, views, paths, self.anchor) if views else []
 
@@ -192,6 +188,12 @@ class Evaluation:
         """Error of the rows of a curve, that of a Monte Carlo prediction included."""
         curve, error = self.problem.curves[index], self.predicted_curves[index].error
         return curve.sigma if error is None else np.hypot(curve.sigma, self._scale(curve) * error)
+
+
+def view_of(image: MeasuredImage, pose: Pose) -> View:
+    """The camera of a measured image."""
+    rows, columns = image.signal_dn.shape
+    return View(image.sample, rows, columns, image.pixel_um, image.centre_px, pose)
 
 
 def wrapped_deg(difference_deg: Real) -> Real:
