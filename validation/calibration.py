@@ -39,7 +39,7 @@ class Calibrated:
 
     def document(self) -> dict[str, Any]:
         """Everything that is told, as plain values."""
-        fit = self.after.fit
+        fit, after = self.after.fit, self.after.document()
         return {
             "sentence": self.sentence,
             "solver": self.after.solver.document(),
@@ -63,7 +63,8 @@ class Calibrated:
                 "gap": fit.gap,
             },
             "errors": [_errors("before", self.before), _errors("after", self.after)],
-            "structure": self.after.document()["structure"],
+            "structure": after["structure"],
+            "shots": after["shots"],
         }
 
     @property

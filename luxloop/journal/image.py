@@ -75,6 +75,11 @@ def read_image(data: bytes) -> NDArray[np.float32]:
     return np.frombuffer(image.data, "<f4").reshape(image.height, image.width)[::-1]
 
 
+def frame_of(data: bytes) -> str:
+    """Of what an image is: its frame. Raises InputError where it is none."""
+    return str(_parsed(IMAGE, data).frame_id)
+
+
 def log_of(line: LogLine, log_time_ns: int) -> bytes:
     """A line of text as foxglove.Log."""
     log = _message(LOG)(

@@ -7,10 +7,12 @@ import json
 import numpy as np
 import pytest
 
+from luxloop.audit import Compared, Place
 from luxloop.errors import InputError
 from luxloop.model_file import find_model
 from tests.validation import test_fit_images as spots
 from validation import told
+from validation.auditor import compared as re_derived
 from validation.calibrate_command import paths_of
 from validation.calibration import calibrated
 from validation.comparing import Solver, compared
@@ -136,3 +138,21 @@ def test_a_calibration_tells_values_errors_and_what_became_of_the_file() -> None
     assert all(min(one["chi2"]) > -0.5 for one in document["fit"]["profiles"])
     assert "mine.toml is as it was" in "\n".join(told.calibration(document | {"version": None}))
     assert "mine.toml is version 3" in "\n".join(told.calibration(document | {"version": 3}))
+
+
+def test_a_changed_pixel_of_a_residual_is_found_by_the_replay() -> None:
+    """Chi2 follows from the maps; a map that was altered, or is not there, is named by its shot."""
+    found = compared(spots.MODEL, observed(), spots.Spots(), Solver(None))
+    document, maps = found.document(), found.residual_maps()
+    first = next(iter(maps))
+
+    def verdicts(of: dict[str, np.ndarray]) -> dict[str, str]:
+        told_: list[Compared] = []
+        re_derived(document, of, Place(told_.append))
+        return {one.what: one.verdict for one in told_}
+
+    assert set(verdicts(maps).values()) <= {"identical", "within tolerance"}
+    altered = maps[first].copy()
+    altered[3, 3] += 20.0
+    assert verdicts(maps | {first: altered})[f"chi2 per pixel, {first}"] == "differs"
+    assert verdicts({})[f"chi2 per pixel, {first}"] == "not comparable"

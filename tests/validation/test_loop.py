@@ -48,6 +48,9 @@ def test_compare_then_where_over_real_processes(settings: Settings, tmp_path: Pa
     assert len(list(journal.records("/map/residual"))) == 6
     verified = luxloop(settings, tmp_path, "audit", "verify", document["folder"])
     assert verified.returncode == 0, verified.stdout
+    replayed = luxloop(settings, tmp_path, "audit", "replay", document["folder"], "--level", "2")
+    assert replayed.returncode == 0, replayed.stdout
+    assert "within tolerance" in replayed.stdout.split("verdict")[-1]
 
 
 def test_where_needs_data_and_compare_a_data_set(settings: Settings, tmp_path: Path) -> None:
