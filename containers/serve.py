@@ -23,15 +23,17 @@ Quiet = Annotated[bool, typer.Option("--quiet", help="Say nothing on stderr but 
 def thin_film(router: Router = None, quiet: Quiet = False) -> None:
     """Be a thin-film worker: film tables and film measurements, until SIGTERM."""
     settings, cache = _prepared(router)
+    from containers.catalogue import Catalogue
     from containers.thin_film.worker import FilmComputation
 
-    computation = FilmComputation.in_folder(cache)
+    computation = FilmComputation.in_folder(cache, Catalogue(settings.effects))
     _serve("thin-film", settings, lambda _: computation, f"database in {cache}", quiet)
 
 
 def ray_tracing(router: Router = None, quiet: Quiet = False) -> None:
     """Be a ray-tracing worker: maps, uniformities, images of designs, until SIGTERM; on LUXLOOP_THREADS threads."""
     settings, cache = _prepared(router)
+    from containers.catalogue import Catalogue
     from containers.ray_tracing.exit_source import ExitSource
     from containers.ray_tracing.worker import RayComputation, wanted_threads, warm_up
     from luxloop.bus.blobs import fetcher
@@ -40,9 +42,11 @@ def ray_tracing(router: Router = None, quiet: Quiet = False) -> None:
     threads = wanted_threads()
     source = ExitSource(cache / "exits", threads=threads)
     warm_up(source, threads)
+    catalogue = Catalogue(settings.effects)
 
     def computation(bus: Bus) -> Computation:
-        return RayComputation(fetcher(bus, settings.realm, BlobStore(cache / "blobs")), source, threads)
+        fetch = fetcher(bus, settings.realm, BlobStore(cache / "blobs"))
+        return RayComputation(fetch, source, threads, catalogue)
 
     _serve("ray-tracing", settings, computation, f"{threads} threads", quiet)
 

@@ -85,6 +85,8 @@ class EffectSpec(Words):
     twin: bool = Field(True, description="Whether the deterministic twin can represent it.")
     discrete: bool = Field(False, description="No slope at off: tested by a refit, not by the score.")
     conserves: tuple[Literal["energy", "reciprocity"], ...] = ()
+    excludes: tuple[Name, ...] = Field((), description="Effects that say the same in another way.")
+    formula: str = Field("", max_length=1000, description="What it does, in a line.")
     reference: str = Field("", description="Where its formula comes from.")
     source_sha256: str | None = Field(
         None, pattern=r"^[0-9a-f]{64}$", description="Of the file of a user's own effect."

@@ -78,6 +78,14 @@ class RayRequest(Module):
         return self
 
 
+class EffectsRequest(Words):
+    """Which effects the worker knows, its folder of the user's own looked through again."""
+
+    KIND: ClassVar[str] = KIND
+
+    task: Literal["effects"] = "effects"
+
+
 class ShotRequest(Module):
     """A finite module, and the camera whose image of it is predicted."""
 

@@ -8,12 +8,15 @@ of the wanted chip itself, whose exits are reweighted for the chips that a colum
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Protocol
 
 import numpy as np
 
+from containers.acting import Effects
+from containers.effect import DetectorEffect
 from containers.ray_tracing.build import cell_of, scene_of
 from containers.ray_tracing.exit_source import BATCH, ExitSource
 from containers.ray_tracing.exits import Exits
@@ -46,17 +49,27 @@ from luxloop.process import usable_cores
 from luxloop.ray import AnchorRequest, Film, Module, PredictionRequest, RayRequest, ShotRequest
 from luxloop.words import sha256_of
 
-FilmOf = Callable[[Film], FilmTable]
-
 MOST_VALUES = 1 << 25
-"""Of an answer: the pixels of all shots, once for the images, for each column, and for each function of noise."""
+"""Of an answer: the pixels of all shots, once for images, twin's images, each column, and each function of noise."""
 MOST_CHIPS = 2_500
 """Of a module: its image takes 2.4 s (5 x 5: 20 ms), and within an image nobody listens for a cancel."""
 HELD_BYTES = 128 << 20
 """Of anchors that are kept; the latest is kept in any case."""
 SHADOW_RAYS = 4096
+SLOPE_STEP = 1e-4
+"""Of the full scale: by which a signal is moved to find the slope of a sensor's effects."""
 RUN_STEPS = 20
 """What a run of Monte Carlo counts for in the progress; an image of the twin counts 1."""
+
+
+class Means(Protocol):
+    """What a request names and does not bring."""
+
+    def film(self, film: Film) -> FilmTable:
+        """The table of that hash."""
+
+    def effects(self, module: Module) -> Effects:
+        """The effects of a module and its camera, ready to act."""
 
 
 class Predictor:
@@ -67,12 +80,12 @@ class Predictor:
         self._anchors: OrderedDict[str, Anchor] = OrderedDict()
         self._fields: OrderedDict[str, Field] = OrderedDict()  # by Monte Carlo: one run serves any camera
 
-    def answer(self, request: PredictionRequest, film_of: FilmOf, progress: Progress) -> tuple[Document, Arrays]:
+    def answer(self, request: PredictionRequest, means: Means, progress: Progress) -> tuple[Document, Arrays]:
         """The result document of a request and its arrays.
 
         Parameters
         ----------
-        film_of : brings the table that a shot names.
+        means : brings the film and the effects that a shot names.
 
         Raises
         ------
@@ -85,13 +98,15 @@ class Predictor:
         All in irradiance, 1/mm^2 per flux of a chip, before a camera's gain: `images_per_mm2` (shot, row, column);
         `jacobian_per_mm2` (column, shot, row, pixel column) in the order of `columns`, by each shot's own parameter,
         of its scene or of its camera, in the unit that its name ends with; with an anchor `noise_per_mm2` (function,
-        shot, row, column): the covariance of two pixels is the sum over functions of their products. Images are
+        shot, row, column): the covariance of two pixels is the sum over functions of their products, and
+        `twin_per_mm2` (shot, row, column), the twin alone, whose noise has nothing in common with that. Images are
         float64, for differences are taken of them; the others are float32, which rounds 6e-8 of a value: the least
         noisy column of a scene has 1e-4, the noise knows itself to some percent.
         """
         columns, cameras = _columns(request)
         _refuse_too_much(request)
-        shots = _shots(request.shots, "shots", film_of)
+        shots = _shots(request.shots, "shots", means)
+        _refuse_beyond_twin(request, shots)
         steps = _Steps(progress, len(shots) + sum(len(stencil_of(c, shot)) for c in columns for shot in shots))
         job = _Job(request, steps, self._source, self._threads)
         supply = Supply(job.exits)
@@ -99,19 +114,21 @@ class Predictor:
             images, of_camera = twin_views(shots, supply, cameras, report=steps.image, **job.options)
             arrays: Arrays = {"images_per_mm2": images}
         else:
-            anchor = self._anchor(request.anchor, job, supply, film_of)
+            anchor = self._anchor(request.anchor, job, supply, means)
             shots = anchor.near(shots)
             found = anchor.predict(shots, supply, cameras, report=steps.image)
             arrays = {"images_per_mm2": found.images_per_mm2, "noise_per_mm2": found.noise_per_mm2.astype(np.float32)}
+            arrays["twin_per_mm2"] = found.twin_per_mm2.astype(np.float32)
             of_camera = found.of_camera_per_mm2
         if request.columns:
             of_scene = jacobian(shots, columns, supply, report=steps.image, **job.options)
             names = [*(column.name for column in columns), *(column.name for column in cameras)]
             order = [names.index(name) for name in request.columns]
             arrays["jacobian_per_mm2"] = np.concatenate([of_scene, of_camera]).astype(np.float32)[order]
+        _bend(arrays, shots)
         return _document(request), arrays
 
-    def _anchor(self, asked: AnchorRequest, job: _Job, supply: Supply, film_of: FilmOf) -> Anchor:
+    def _anchor(self, asked: AnchorRequest, job: _Job, supply: Supply, means: Means) -> Anchor:
         """The anchor of a request: one of those kept, or made anew."""
         wanted = job.request.shots
         at = asked.shots or wanted
@@ -121,7 +138,7 @@ class Predictor:
         decisive = job.request.model_dump(mode="json", include={"anchor", "exit_histories", "exit_seed"})
         key = sha256_of([decisive, *([] if asked.shots else [shot.model_dump(mode="json") for shot in wanted])])
         if key not in self._anchors:
-            shots = _shots(at, "anchor.shots" if asked.shots else "shots", film_of)
+            shots = _shots(at, "anchor.shots" if asked.shots else "shots", means)
             self._anchors[key] = job.anchor(asked, at, shots, supply, self._fields)
         self._anchors.move_to_end(key)
         while len(self._anchors) > 1 and sum(one.nbytes for one in self._anchors.values()) > HELD_BYTES:
@@ -184,7 +201,7 @@ class _Job:
         known: OrderedDict[str, Field],
     ) -> Anchor:
         """An anchor at these shots; what several cameras see is run once, what is `known` is not run again."""
-        modules = [sha256_of(shot.model_dump(mode="json", exclude={"camera"})) for shot in at]
+        modules = [_module_key(wanted, shot) for wanted, shot in zip(at, shots, strict=True)]
         if not asked.histories:
             return Anchor(shots, None, supply, report=self.steps.image, **self.options)
         run = asked.model_dump(mode="json", exclude={"shots"}) | {"exit_seed": self.request.exit_seed}
@@ -193,7 +210,7 @@ class _Job:
         fields = []
         for key, wanted, shot in zip(keys, at, shots, strict=True):
             with named(shot.name):
-                fields.append(remembered(known, key, partial(self._field, asked, wanted, shot.scene)))
+                fields.append(remembered(known, key, partial(self._field, asked, wanted, shot.traced)))
         return Anchor(shots, fields, supply, report=self.steps.image, **self.options)
 
     def _field(self, asked: AnchorRequest, wanted: ShotRequest, scene: Scene) -> Field:
@@ -201,7 +218,7 @@ class _Job:
         run = RayRequest(
             **{name: getattr(wanted, name) for name in Module.model_fields},
             histories=asked.histories,
-            seed=asked.seed,
+            seed=_seed_of(asked, wanted),
             stored_exits=asked.stored_exits,
             exit_seed=self.request.exit_seed,
         )
@@ -209,6 +226,51 @@ class _Job:
         tally = solver.run_to(blocks_of(asked.histories), self.steps.run)
         self.steps.done += RUN_STEPS
         return unweighed(tally, scene)
+
+
+def _seed_of(asked: AnchorRequest, wanted: ShotRequest) -> str:
+    """The seed of a module's run: another for each design, so that no two modules of an anchor share their noise.
+
+    Nor does any share histories with the exits that the twin lands. In another environment a module keeps its seed.
+    """
+    module = wanted.model_dump(mode="json", include={"design", "array"})
+    return str(int(sha256_of({"seed": asked.seed, "module": module})[:15], 16) % 10**18)
+
+
+def _module_key(wanted: ShotRequest, shot: Shot) -> str:
+    """The hash of all that decides a module's field: not of the camera, nor of effects in it."""
+    told = {effect.name for effect in shot.effects.all if not isinstance(effect, DetectorEffect)}
+    plain = wanted.model_dump(mode="json", exclude={"camera"})
+    return sha256_of(plain | {"effects": [one for one in plain["effects"] if one["name"] in told]})
+
+
+def _refuse_beyond_twin(request: PredictionRequest, shots: Sequence[Shot]) -> None:
+    """InputError where the twin alone is asked for what it cannot represent."""
+    names = {name for shot in shots for name in shot.effects.beyond_twin}
+    if names and request.anchor is None:
+        mend = f"the twin cannot represent {', '.join(sorted(names))}"
+        raise InputError("anchor", None, "an anchor with histories, so that Monte Carlo does", mend)
+
+
+def _bend(arrays: Arrays, shots: Sequence[Shot]) -> None:
+    """Let the sensors' effects act: images as if the light had been other, the rest by the slope there.
+
+    An effect s acts on the signal y = g E + o; returned is E' with g E' + o = s(y), so that who multiplies by the
+    gain and adds the offset has the signal.
+    """
+    for number, shot in enumerate(shots):
+        if not shot.effects.bends_signals:
+            continue
+        gain, offset = shot.camera.gain_dn, shot.camera.offset_dn
+        signal, step = gain * arrays["images_per_mm2"][number] + offset, SLOPE_STEP * shot.camera.full_scale_dn
+        low, at, high = (shot.effects.signal(signal + by, shot.camera) for by in (-step, 0.0, step))
+        if np.array_equal(at, signal):  # off: bit for bit as it was
+            continue
+        arrays["images_per_mm2"][number] = (at - offset) / gain
+        slope = (high - low) / (2.0 * step)
+        for name in ("noise_per_mm2", "jacobian_per_mm2"):
+            if name in arrays:
+                arrays[name][:, number] *= slope.astype(arrays[name].dtype)
 
 
 def _size(shot: ShotRequest) -> str:
@@ -229,27 +291,30 @@ def _columns(request: PredictionRequest) -> tuple[list[Column], list[CameraColum
 def _refuse_too_much(request: PredictionRequest) -> None:
     """InputError where the answer would be too large; before anything is built."""
     pixels = sum(shot.camera.rows * shot.camera.columns for shot in request.shots)
-    times = 1 + len(request.columns) + (MOST_FUNCTIONS if request.anchor is not None else 0)
+    times = 1 + len(request.columns) + (1 + MOST_FUNCTIONS if request.anchor is not None else 0)
     if pixels * times > MOST_VALUES:
         mend = "fewer pixels or columns at once: ask in parts"
         raise InputError("shots", f"{pixels} pixels x {times} images of each", f"a product up to {MOST_VALUES}", mend)
 
 
-def _shots(wanted: Sequence[ShotRequest], where: str, film_of: FilmOf) -> list[Shot]:
+def _shots(wanted: Sequence[ShotRequest], where: str, means: Means) -> list[Shot]:
     """The shots of a request, their chips built once where they are alike. InputErrors name the shot."""
     built: dict[str, Scene] = {}
     shots = []
     for number, shot in enumerate(wanted):
         name = f"{where}.{number}"
         with named(name):
+            effects = means.effects(shot)
             key = sha256_of(shot.model_dump(mode="json", include={"environment", "design", "film"}))
             if key not in built:
-                film = None if shot.film is None else film_of(shot.film)
-                refuse_other_film(shot, film)
+                film = None if shot.film is None else means.film(shot.film)
+                refuse_other_film(shot, film, effects)
                 built[key] = scene_of(shot.environment, shot.design, film, cell_of(shot.environment, shot.design))
-            scene = replace(built[key], layout=_open(shot))
+            bare = replace(built[key], layout=_open(shot))
+            scene, whole = effects.for_twin.scene(bare), effects.scene(bare)
             open_array(scene)
-        shots.append(Shot(scene, shot.camera, name))
+            camera = effects.camera(shot.camera)
+        shots.append(Shot(scene, camera, name, effects=effects, whole=whole if effects.beyond_twin else None))
     refuse_several_sizes(shots)
     return shots
 

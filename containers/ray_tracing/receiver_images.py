@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from containers.acting import NONE, Effects
 from containers.ray_tracing.camera import irradiance_image, pixels, receiver_points, response
 from containers.ray_tracing.field import CellField, Field
 from containers.ray_tracing.light_map import LightMap
@@ -33,13 +34,13 @@ MOST_PIXELS = 1 << 24
 
 
 def images_of(
-    field: Field, box: Box, cameras: Sequence[Camera], report: Callable[[float], None]
+    field: Field, box: Box, cameras: Sequence[Camera], report: Callable[[float], None], effects: Effects = NONE
 ) -> list[tuple[Real, Real]]:
     """The expected image (row, column) in DN of each camera, and its standard error; glare sees all of the module.
 
     Parameters
     ----------
-    field : of the receiver; `box` is where its bins lay.
+    field : of the receiver; `box` is where its bins lay. effects : those on cameras act here.
     report : hears the share done, may raise to stop.
 
     Raises
@@ -48,18 +49,20 @@ def images_of(
         would be too large.
     """
     sums: list[tuple[Real, Real]] = []
+    cameras = [effects.camera(camera) for camera in cameras]
     maps = _maps(field, box, cameras)
     groups = field.groups
     for number, light in enumerate(maps):
         report(number / (groups + 1))
-        seen = [camera.gain_dn * irradiance_image(light, camera) for camera in cameras]
+        seen = [camera.gain_dn * effects.light(irradiance_image(light, camera), camera) for camera in cameras]
         if not number:
             sums = [(signal, np.zeros_like(signal)) for signal in seen]
         else:
             for (_, squares), deviation in zip(sums, seen, strict=True):
                 squares += deviation**2
     errors = (np.sqrt(squares / (groups * (groups - 1))) for _, squares in sums)
-    return [_digital(signal, error, camera) for (signal, _), error, camera in zip(sums, errors, cameras, strict=True)]
+    numbers = zip(sums, errors, cameras, strict=True)
+    return [_digital(signal, error, camera, effects) for (signal, _), error, camera in numbers]
 
 
 def refuse_too_many(cameras: Sequence[Camera]) -> None:
@@ -69,9 +72,10 @@ def refuse_too_many(cameras: Sequence[Camera]) -> None:
         raise InputError("images", f"{total} pixels", f"at most {MOST_PIXELS} in all images", "ask in parts")
 
 
-def _digital(signal: Real, error: Real, camera: Camera) -> tuple[Real, Real]:
+def _digital(signal: Real, error: Real, camera: Camera, effects: Effects) -> tuple[Real, Real]:
     """Digital numbers and their error, for a signal and its error before the offset."""
-    low, middle, high = (response(signal + step * error + camera.offset_dn, camera) for step in (-1.0, 0.0, 1.0))
+    above_black = (signal + step * error + camera.offset_dn for step in (-1.0, 0.0, 1.0))
+    low, middle, high = (response(effects.signal(one, camera), camera) for one in above_black)
     return middle, np.abs(high - low) / 2.0
 
 

@@ -7,6 +7,7 @@ from math import inf
 
 import numpy as np
 
+from containers.acting import NONE, Effects
 from containers.bsdf import Mirror
 from containers.ray_tracing.arrays import DX, DZ, X, Z
 from containers.ray_tracing.build import array_of, cell_of, scene_of
@@ -42,6 +43,7 @@ def simulate(
     source: ExitSource,
     progress: Progress,
     threads: int | None = None,
+    effects: Effects = NONE,
 ) -> tuple[Document, Arrays]:
     """The result document of a request and its arrays.
 
@@ -50,6 +52,7 @@ def simulate(
     film : the table of `request.film`, None where there is none.
     source : of stored chip exits.
     threads : to compute on, all that may be used by default; the result does not depend on it.
+    effects : of the request, ready to act; those on its film have acted before.
 
     Raises
     ------
@@ -68,9 +71,12 @@ def simulate(
     `ray_flux_ratio` of the flux that the chip emits, `ray_wavelength_nm` (ray,).
     """
     refuse_too_many(request.images)
-    refuse_other_film(request, film)
+    refuse_other_film(request, film, effects)
     scene = scene_of(request.environment, request.design, film, layout_of(request))
-    return simulate_scene(request, scene, film, source, progress, threads)
+    if request.method == "twin" and effects.beyond_twin:
+        names = ", ".join(effects.beyond_twin)
+        raise InputError("method", "twin", "monte_carlo", f"the twin cannot represent {names}")
+    return simulate_scene(request, effects.scene(scene), film, source, progress, threads, effects)
 
 
 def simulate_scene(
@@ -80,9 +86,10 @@ def simulate_scene(
     source: ExitSource,
     progress: Progress,
     threads: int | None = None,
+    effects: Effects = NONE,
 ) -> tuple[Document, Arrays]:
     """`simulate` of a scene that is already made: how it is solved, and what is answered, is the request's."""
-    warnings = scene_warnings(scene)
+    warnings = [*scene_warnings(scene), *effects.without_influence(request.design.dbr_pairs)]
     if request.method == "twin":
         found = _twin(request, scene, source, progress, threads)
     else:
@@ -97,7 +104,8 @@ def simulate_scene(
         result["far_field"]["eightfold"] = scene.symmetric
         arrays |= more
     if request.images:
-        seen = images_of(found.field, Box.of(scene), request.images, lambda share: progress.report(share, "images"))
+        report = lambda share: progress.report(share, "images")  # noqa: E731
+        seen = images_of(found.field, Box.of(scene), request.images, report, effects)
         for number, (image, error) in enumerate(seen):
             arrays |= {f"image_{number}": image, f"image_error_{number}": error}
     if request.stored_exits or request.exit_histories or request.method == "twin":
@@ -138,7 +146,7 @@ def layout_of(request: Module) -> Cell | Array:
     )
 
 
-def refuse_other_film(request: Module, film: FilmTable | None) -> None:
+def refuse_other_film(request: Module, film: FilmTable | None, effects: Effects = NONE) -> None:
     """InputError where a film is missing, is not the DBR of the request's design, or is not resolved."""
     pairs, environment, mend = (
         request.design.dbr_pairs,
@@ -149,7 +157,10 @@ def refuse_other_film(request: Module, film: FilmTable | None) -> None:
         if pairs:
             raise InputError("film", None, f"the table of {pairs:g} pairs", mend)
         return
-    wanted = dbr_of(environment, pairs), Spectrum(peak_nm=environment.peak_nm, fwhm_nm=environment.fwhm_nm)
+    wanted = (
+        effects.dbr(dbr_of(environment, pairs)),
+        Spectrum(peak_nm=environment.peak_nm, fwhm_nm=environment.fwhm_nm),
+    )
     if not pairs or (film.stack, film.spectrum) != wanted:
         raise InputError("film", str(film.stack)[:200], str(wanted[0])[:200] if pairs else "none: no pairs", mend)
     if not film.resolved:

@@ -7,7 +7,8 @@ from collections import OrderedDict
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from containers.known_effects import refuse_unknown
+from containers.acting import Effects
+from containers.catalogue import Catalogue, told
 from containers.ray_tracing.exit_source import ExitSource
 from containers.ray_tracing.predictor import Predictor
 from containers.ray_tracing.simulation import simulate
@@ -24,7 +25,7 @@ from luxloop.failure import Failure
 from luxloop.film import Grid, Spectrum
 from luxloop.model import Environment
 from luxloop.process import usable_cores
-from luxloop.ray import KIND, ChipArray, Film, PredictionRequest, RayRequest
+from luxloop.ray import KIND, ChipArray, EffectsRequest, Film, Module, PredictionRequest, RayRequest
 from luxloop.words import parse
 
 Fetch = Callable[[str, int], bytes]
@@ -42,8 +43,11 @@ class RayComputation:
 
     kind = KIND
 
-    def __init__(self, fetch: Fetch, source: ExitSource, threads: int | None = None) -> None:
+    def __init__(
+        self, fetch: Fetch, source: ExitSource, threads: int | None = None, catalogue: Catalogue | None = None
+    ) -> None:
         self._fetch, self._source, self._threads = fetch, source, threads
+        self._catalogue = catalogue or Catalogue()
         self._predictor = Predictor(source, threads)
         self._films: OrderedDict[str, FilmTable] = OrderedDict()
 
@@ -53,7 +57,7 @@ class RayComputation:
             "tasks": ["simulation", "prediction"],
             "methods": ["monte_carlo", "twin"],
             "columns": [*COLUMNS, *CAMERA_COLUMNS],
-            "effects": [],
+            **told(self._catalogue),
         }
 
     def blob(self, sha256: str) -> bytes | None:  # noqa: ARG002  # a worker's interface
@@ -61,23 +65,29 @@ class RayComputation:
         return None
 
     def compute(self, inputs: dict[str, Any], progress: Progress) -> tuple[dict[str, Any], Mapping[str, Array]]:
-        """The answer to a `RayRequest`, or to a `PredictionRequest` where `task` says so."""
+        """The answer to a `RayRequest`, or to another one where `task` says so."""
+        if inputs.get("task") == "effects":
+            parse(EffectsRequest, inputs, "request for effects")
+            self._catalogue.rescan()
+            return told(self._catalogue), {}
         if "task" in inputs:
             return self._predict(inputs, progress)
         request = parse(RayRequest, inputs, "ray request")
-        refuse_unknown(request.effects, "ray-tracing")
+        effects = self.effects(request)
         progress.report(0.0, str(request.design))
-        film = None if request.film is None else self._film(request.film)
-        return simulate(request, film, self._source, progress, self._threads)
+        film = None if request.film is None else self.film(request.film)
+        return simulate(request, film, self._source, progress, self._threads, effects)
+
+    def effects(self, module: Module) -> Effects:
+        """Those of a request, ready to act; RemoteError unknown_effect, InputError."""
+        return self._catalogue.effects(module.effects, "ray-tracing")
 
     def _predict(self, inputs: dict[str, Any], progress: Progress) -> tuple[dict[str, Any], Mapping[str, Array]]:
         request = parse(PredictionRequest, inputs, "prediction request")
-        for shot in (*request.shots, *(request.anchor.shots if request.anchor is not None else ())):
-            refuse_unknown(shot.effects, "ray-tracing")
         progress.report(0.0, "prediction")
-        return self._predictor.answer(request, self._film, progress)
+        return self._predictor.answer(request, self, progress)
 
-    def _film(self, film: Film) -> FilmTable:
+    def film(self, film: Film) -> FilmTable:
         """The table of that hash, of those held or from who has it; RemoteError not_found where nobody has."""
         if film.sha256 not in self._films:
             self._films[film.sha256] = FilmTable.from_parts(*unpack(self._fetched(film)))

@@ -30,6 +30,8 @@ from luxloop.stack import Stack
 
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
+Spot = tuple[tuple[float, Stack], ...]
+"""Shares of the measured spot, of sum 1, and what lies there."""
 RowsAt = Callable[[Real], StackRows]
 """The rows of a stack for an array of vacuum wavelengths in nm."""
 
@@ -46,7 +48,7 @@ HALVES_DIFFER = 1e-3
 
 
 def measure(
-    stack: Stack | RowsAt,
+    stack: Stack | RowsAt | Spot,
     quantity: Quantity,
     wavelength_nm: ArrayLike,
     aoi_deg: ArrayLike,
@@ -58,7 +60,8 @@ def measure(
 
     Parameters
     ----------
-    stack : what is measured, from the bulk outwards; layers that are not coherent add powers.
+    stack : what is measured, from the bulk outwards; layers that are not coherent add powers. Or what lies in the
+        spot, with the share of each: their intensities are added.
     quantity : "R", "T", "psi" in [0, 90] or "delta" in [0, 360); signs at the head of `ellipsometry`.
     wavelength_nm : (wavelength,), in vacuum.
     aoi_deg : (aoi,), angle of incidence in the medium that the light comes from, 0 <= aoi < 90.
@@ -90,7 +93,7 @@ def measure(
 
 
 def measure_ncs(
-    stack: Stack | RowsAt,
+    stack: Stack | RowsAt | Spot,
     wavelength_nm: ArrayLike,
     aoi_deg: ArrayLike,
     bandwidth_nm: float = 0.0,
@@ -157,7 +160,7 @@ def interlayer(stack: Stack | RowsAt, face: int, thickness_nm: float, share_oute
 
 
 def _light(
-    stack: Stack | RowsAt,
+    stack: Stack | RowsAt | Spot,
     wavelength_nm: ArrayLike,
     aoi_deg: ArrayLike,
     bandwidth_nm: float,
@@ -165,6 +168,9 @@ def _light(
     ellipsometry: bool = False,
 ) -> Light:
     """The instrument's average of the intensities."""
+    if isinstance(stack, tuple):
+        parts = [_light(one, wavelength_nm, aoi_deg, bandwidth_nm, from_side, ellipsometry) for _, one in stack]
+        return _sum(parts, np.array([share for share, _ in stack]))
     wavelength, sine = wavelengths_nm(wavelength_nm), np.sin(np.radians(_angles_deg(aoi_deg)))
     _one_of("from_side", from_side, Side)
     rows_at = rows_function(stack)
@@ -204,7 +210,11 @@ def _halves_differ(parts: list[Light], offsets: Real) -> float:
 def _averaged(parts: list[Light], offsets: Real) -> Light:
     """The average of intensities with Gaussian weights, offsets in standard deviations."""
     weights = np.exp(-(offsets**2) / 2.0)
-    weights /= weights.sum()
+    return _sum(parts, weights / weights.sum())
+
+
+def _sum(parts: list[Light], weights: Real) -> Light:
+    """Intensities times weights, added."""
     fields = ([getattr(part, name) for part in parts] for name in ("R", "T", "ps"))
     return Light(*(np.asarray(sum(w * value for w, value in zip(weights, of, strict=True))) for of in fields))
 

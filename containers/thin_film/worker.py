@@ -6,18 +6,22 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from pydantic import ValidationError
 
-from containers.known_effects import refuse_unknown
+from containers.acting import Effects
+from containers.catalogue import Catalogue, told
+from containers.effect import Reading
 from containers.materials import list_materials
 from containers.stack import dbr_of
 from containers.thin_film import warm_up
 from containers.thin_film.database import FilmDatabase, open_database
-from containers.thin_film.film_measurement import measure
+from containers.thin_film.film_measurement import Spot, measure
 from containers.thin_film.packing import pack, unpack
 from containers.thin_film.table import VERSION, FilmTable, film_table
 from luxloop.bus.frame import Array
 from luxloop.computation import Progress
+from luxloop.errors import InputError
 from luxloop.film import FILM_REQUEST, KIND, FilmMeasurementRequest, FilmTableRequest
 from luxloop.stack import Stack
 from luxloop.words import as_input_error, sha256_of
@@ -30,19 +34,19 @@ class FilmComputation:
 
     kind = KIND
 
-    def __init__(self, database: FilmDatabase) -> None:
-        self._database = database
+    def __init__(self, database: FilmDatabase, catalogue: Catalogue | None = None) -> None:
+        self._database, self._catalogue = database, catalogue or Catalogue()
         warm_up()
 
     @classmethod
-    def in_folder(cls, folder: Path) -> FilmComputation:
+    def in_folder(cls, folder: Path, catalogue: Catalogue | None = None) -> FilmComputation:
         """With the database in a folder, made where it is not there yet."""
         folder.mkdir(parents=True, exist_ok=True)
-        return cls(open_database(folder / DATABASE))
+        return cls(open_database(folder / DATABASE), catalogue)
 
     def catalogue(self) -> dict[str, Any]:
         """What can be asked, which materials and effects are known."""
-        return {"what": ["table", "measurement"], "materials": list(list_materials()), "effects": []}
+        return {"what": ["table", "measurement"], "materials": list(list_materials()), **told(self._catalogue)}
 
     def blob(self, sha256: str) -> bytes | None:
         """A packed table by its hash."""
@@ -54,23 +58,14 @@ class FilmComputation:
             request = FILM_REQUEST.validate_python(inputs)
         except ValidationError as error:
             raise as_input_error(error, "film request") from error
-        stack = film_of(request)
-        progress.report(0.0, str(stack)[:100])
+        effects = self._catalogue.effects(request.effects, "thin-film")
+        spot = spot_of(request, effects)
+        progress.report(0.0, str(spot[0][1])[:100])
         if isinstance(request, FilmMeasurementRequest):
-            return self._measure(request, stack)
-        return self._table(request, stack)
-
-    def _measure(self, request: FilmMeasurementRequest, stack: Stack) -> tuple[dict[str, Any], Mapping[str, Array]]:
-        value = measure(
-            stack,
-            request.quantity,
-            request.wavelength_nm,
-            request.aoi_deg,
-            request.polarisation,
-            request.bandwidth_nm,
-            request.from_side,
-        )
-        return {"stack": str(stack), "quantity": request.quantity}, {"value": value}
+            return _measure(request, spot, effects)
+        if len(spot) != 1:
+            raise InputError("effects", f"{len(spot)} stacks on one spot", "one: a table is of one stack")
+        return self._table(request, spot[0][1])
 
     def _table(self, request: FilmTableRequest, stack: Stack) -> tuple[dict[str, Any], Mapping[str, Array]]:
         """By its key from the database; computed and kept where it is not there, or no longer what it was."""
@@ -114,11 +109,30 @@ def averages(table: FilmTable) -> dict[str, Array]:
     return {"u": table.u, "R_inside": inside.R, "R_outside": outside.R, "T": outside.T}
 
 
-def film_of(request: FilmTableRequest | FilmMeasurementRequest) -> Stack:
-    """The stack that a request is about, its effects applied. Raises RemoteError for an effect not known here."""
-    refuse_unknown(request.effects, "thin-film")
+def spot_of(request: FilmTableRequest | FilmMeasurementRequest, effects: Effects) -> Spot:
+    """Shares of the spot that a request is about, and the stack at each of them, the effects applied."""
     if request.stack is not None:
-        return request.stack
+        return effects.film(request.stack)
     if request.environment is None or request.dbr_pairs is None:  # refused when the request was read
         raise ValueError("a film request without a film")
-    return dbr_of(request.environment, request.dbr_pairs)
+    return ((1.0, effects.dbr(dbr_of(request.environment, request.dbr_pairs))),)
+
+
+def _measure(
+    request: FilmMeasurementRequest, spot: Spot, effects: Effects
+) -> tuple[dict[str, Any], Mapping[str, Array]]:
+    """What the instrument reads, its own effects last."""
+    value = measure(
+        spot,
+        request.quantity,
+        request.wavelength_nm,
+        request.aoi_deg,
+        request.polarisation,
+        request.bandwidth_nm,
+        request.from_side,
+    )
+    reading = Reading(
+        request.quantity, np.array(request.wavelength_nm), np.array(request.aoi_deg), request.polarisation
+    )
+    value = effects.curve(value, reading)
+    return {"stack": str(spot[0][1]), "quantity": request.quantity}, {"value": value}

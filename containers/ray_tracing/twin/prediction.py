@@ -18,6 +18,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from containers.acting import NONE, Effects
 from containers.ray_tracing.camera import irradiance_image, margin_px, pixels, receiver_points
 from containers.ray_tracing.exits import Exits, chip_key
 from containers.ray_tracing.field import Field
@@ -51,11 +52,26 @@ class Shot:
     """A finite module and the camera in front of it."""
 
     scene: Scene
+    """As the twin knows it."""
     camera: Camera
     name: str = "shots"
     """By which it is called where it cannot be predicted."""
     base: Scene | None = None
     """Whose chip's exits may stand for those of this one; none: they are walked."""
+    effects: Effects = NONE
+    """Those on the light in the camera act on its images; the others have acted."""
+    whole: Scene | None = None
+    """With what the twin cannot represent, for Monte Carlo; none: the scene is whole."""
+
+    @property
+    def traced(self) -> Scene:
+        """What Monte Carlo traces."""
+        return self.whole or self.scene
+
+    def image(self, light: LightMap, camera: Camera | None = None) -> Real:
+        """The irradiance (..., row, column) that the pixels see of a map, by another camera where one is given."""
+        camera = camera or self.camera
+        return self.effects.light(irradiance_image(light, camera), camera)
 
 
 class Supply:
@@ -124,6 +140,8 @@ class Prediction:
     of_camera_per_mm2: Real
     """(camera column, shot, row, column): how the images change with the camera; the map of the anchor's Monte Carlo
     less the twin's stays in its pixels, so of that part of the images this is neglected."""
+    twin_per_mm2: Real
+    """(shot, row, column): the twin's alone, without the anchor's Monte Carlo and its noise."""
 
     @property
     def error_per_mm2(self) -> Real:
@@ -158,14 +176,15 @@ class Anchor:
             raise InputError("fields", len(fields), f"{len(shots)}, one for each shot, with equally many groups")
         replicas = _replicas([field.grid for field in fields], shots, report)
         mean, groups = replicas.mean(axis=0), len(replicas)
-        bases = bases_of(shots, fields, mean)
+        twin = twin_images(shots, supply, report=report, **options)
+        bases = bases_of(shots, fields, twin)  # light without the noise that is to be told
         first = [next(i for i, one in enumerate(fields) if one is field) for field in fields]
         deviations = (replicas - mean) / np.sqrt(groups * (groups - 1.0))
         columns = [noise_columns(deviations[:, i], bases[n], bases[i]) for n, i in enumerate(first)]
         self._noise = np.zeros((max(map(len, columns)), *self._correction.shape))
         for number, one in enumerate(columns):
             self._noise[: len(one), number] = one
-        self._correction = mean - twin_images(shots, supply, report=report, **options)
+        self._correction = mean - twin
 
     def predict(
         self,
@@ -177,7 +196,7 @@ class Anchor:
     ) -> Prediction:
         """The images of the same shots at other parameters, by the exits of the anchor's chips where they can be."""
         images, of_camera = twin_views(self.near(shots), supply, cameras, report=report, **self._options)
-        return Prediction(images + self._correction, self._noise, of_camera)
+        return Prediction(images + self._correction, self._noise, of_camera, images)
 
     def near(self, shots: Sequence[Shot]) -> list[Shot]:
         """The shots with the exits of the anchor's chips, where these can stand for theirs."""
@@ -202,7 +221,7 @@ def bases_of(shots: Sequence[Shot], fields: Sequence[Field], light: Real) -> lis
     for number, (shot, field, (x, y)) in enumerate(zip(shots, fields, places, strict=True)):
         whole_um = max(r for r, other in zip(reach, fields, strict=True) if other is field)
         like = next((basis for basis, other in zip(found, fields, strict=False) if other is field), None)
-        scene = shot.scene
+        scene = shot.traced
         found.append(
             NoiseBasis.at(x, y, light[number], whole_um, scene.height_um, symmetric=scene.symmetric, like=like)
         )
@@ -241,9 +260,9 @@ def twin_views(
         with named(shot.name):
             twin = ModuleTwin(shot.scene, exits[number], threads=1, **options)
             light = light_map(twin.mean, shot)
-            images[number] = irradiance_image(light, shot.camera)
+            images[number] = shot.image(light)
             for derivative, column in zip(of_camera, cameras, strict=True):
-                up, down = (irradiance_image(light, column.move(shot.camera, s * column.step)) for s in (1.0, -1.0))
+                up, down = (shot.image(light, column.move(shot.camera, s * column.step)) for s in (1.0, -1.0))
                 derivative[number] = (up - down) / (2.0 * column.step)
 
     in_parallel(see, range(len(shots)), threads)
@@ -313,24 +332,31 @@ def named(name: str) -> Iterator[None]:
 
 
 def image_of(grid: Grid, shot: Shot) -> Real:
-    """The irradiance (..., row, column) that a shot's pixels see of a map."""
-    return irradiance_image(light_map(grid, shot), shot.camera)
+    """The irradiance (..., row, column) that a shot's pixels see of a map of what is traced."""
+    layout = shot.traced.layout
+    walled = isinstance(layout, Array) and layout.wall is not None
+    return shot.image(light_map(grid, shot, pad_um=0.0 if walled else None))
 
 
-def light_map(grid: Grid, shot: Shot) -> LightMap:
-    """A map as far as the camera sees, PSF included (with glare: all of it), with eight samples per height."""
+def light_map(grid: Grid, shot: Shot, pad_um: float | None = None) -> LightMap:
+    """A map as far as the camera sees, PSF included (with glare: all of it), with eight samples per height.
+
+    `pad_um` is how far it is known beyond the module's edge (None: as a twin's); there it is its own mirror image if
+    it is known no further than the edge, for then a wall stands there, and else dark.
+    """
     layout, camera, distance = shot.scene.layout, shot.camera, shot.scene.distance_um
     if not isinstance(layout, Array):
         raise InputError("layout", type(layout).__name__, "a finite array", "a cell's map is its field's")
     step = shot.scene.height_um / BINS_PER_HEIGHT
     reach = np.inf if camera.glare else _reach_um(camera) + 4.0 * step
     counts, dark = [], False
-    for half in (layout.half_x_um, layout.half_y_um):
-        whole = half + PAD * distance
-        dark = dark or whole <= reach
+    wholes = [half + (PAD * distance if pad_um is None else pad_um) for half in (layout.half_x_um, layout.half_y_um)]
+    for whole in wholes:
+        dark = dark or (whole <= reach and pad_um != 0.0)
         counts.append(int(np.ceil(min(whole, reach) / step)))
     x, y = ((np.arange(2 * count) + 0.5 - count) * step for count in counts)
-    return LightMap(grid(x, y), (float(x[0]), float(y[0])), step, "dark" if dark else "mirror")
+    inside = (np.clip(at, -whole, whole) for at, whole in zip((x, y), wholes, strict=True))  # the last by a half step
+    return LightMap(grid(*inside), (float(x[0]), float(y[0])), step, "dark" if dark else "mirror")
 
 
 def _reach_um(camera: Camera) -> float:

@@ -1,0 +1,169 @@
+"""The effects of one request at work: in the order of their stages, each held to what its stage may change.
+
+What an effect's own code does wrong (raises, returns something else, numbers that are not finite, a part of the
+scene that is not its stage's) is an InputError that names the effect; the worker goes on.
+"""
+
+from __future__ import annotations
+
+import traceback
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from containers.effect import (
+    MAY_CHANGE,
+    STAGES,
+    CurveEffect,
+    DetectorEffect,
+    Effect,
+    Reading,
+    SceneEffect,
+    StackEffect,
+    changed,
+)
+from containers.scene import Scene
+from luxloop.camera import Camera
+from luxloop.errors import InputError
+from luxloop.stack import Stack
+
+Real = NDArray[np.float64]
+Data = TypeVar("Data")
+
+SHARES = 1e-9
+"""By which the shares of a spot may miss the sum 1."""
+
+
+@dataclass(frozen=True)
+class Effects:
+    """Those of a request, in the order in which they act."""
+
+    all: tuple[Effect, ...] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "all", tuple(sorted(self.all, key=lambda one: STAGES.index(one.stage))))
+
+    @property
+    def for_twin(self) -> Effects:
+        """Without those that the twin cannot represent."""
+        return Effects(tuple(one for one in self.all if one.twin)) if self.beyond_twin else self
+
+    @property
+    def beyond_twin(self) -> list[str]:
+        """The names of those that the twin cannot represent."""
+        return [one.name for one in self.all if not one.twin]
+
+    def dbr(self, stack: Stack) -> Stack:
+        """The DBR of a chip; InputError where an effect gives it several."""
+        spot = self._spot(stack, "dbr")
+        if len(spot) != 1:
+            raise InputError("effects", f"{len(spot)} stacks on one spot", "one: a film's table is of one stack")
+        return spot[0][1]
+
+    def film(self, stack: Stack) -> tuple[tuple[float, Stack], ...]:
+        """Shares of the spot on a measured film, and the stack at each of them."""
+        return self._spot(stack, "film")
+
+    def scene(self, scene: Scene) -> Scene:
+        """The module that rays are traced in."""
+        for effect in self.all:
+            if isinstance(effect, SceneEffect):
+                after = guarded(effect, effect.scene, scene, kind=Scene)
+                beyond = [part for part in changed(scene, after) if not _may_change(effect, part)]
+                if beyond:
+                    allowed = "of stage " + effect.stage + ": " + ", ".join(MAY_CHANGE[effect.stage])
+                    raise InputError(f"effects.{effect.name}", f"it changes {', '.join(beyond)}", allowed)
+                scene = after
+        return scene
+
+    def camera(self, camera: Camera) -> Camera:
+        """The camera before which the module stands."""
+        for effect in self.all:
+            if isinstance(effect, DetectorEffect):
+                camera = guarded(effect, effect.camera, camera, kind=Camera)
+        return camera
+
+    def light(self, image: Real, camera: Camera) -> Real:
+        """The irradiance (..., row, column) that pixels take in."""
+        for effect in self.all:
+            if isinstance(effect, DetectorEffect):
+                image = _image(effect, effect.light, image, camera)
+        return image
+
+    def signal(self, signal_dn: Real, camera: Camera) -> Real:
+        """The signal above black (row, column)."""
+        for effect in self.all:
+            if isinstance(effect, DetectorEffect):
+                signal_dn = _image(effect, effect.signal, signal_dn, camera)
+        return signal_dn
+
+    @property
+    def bends_signals(self) -> bool:
+        """Whether one of them acts on the sensor's signal."""
+        return any(
+            isinstance(one, DetectorEffect) and type(one).signal is not DetectorEffect.signal for one in self.all
+        )
+
+    def curve(self, value: Real, reading: Reading) -> Real:
+        """What an instrument reads of a film."""
+        for effect in self.all:
+            if isinstance(effect, CurveEffect):
+                value = _image(effect, effect.curve, value, reading)
+        return value
+
+    def without_influence(self, dbr_pairs: float) -> list[str]:
+        """A sentence for each effect on a DBR that is not there."""
+        if dbr_pairs:
+            return []
+        idle = (one.name for one in self.all if isinstance(one, StackEffect) and one.of == ("dbr",))
+        return [f"{name} has no influence: the chip has no DBR (0 pairs)" for name in idle]
+
+    def _spot(self, stack: Stack, of: Literal["dbr", "film"]) -> tuple[tuple[float, Stack], ...]:
+        spot: tuple[tuple[float, Stack], ...] = ((1.0, stack),)
+        for effect in self.all:
+            if isinstance(effect, StackEffect) and of in effect.of:
+                spread = [(share, guarded(effect, effect.stacks, one, kind=tuple)) for share, one in spot]
+                spot = tuple((share * part, one) for share, parts in spread for part, one in parts)
+                if abs(sum(share for share, _ in spot) - 1.0) > SHARES:
+                    raise InputError(f"effects.{effect.name}", sum(s for s, _ in spot), "shares of sum 1")
+        return spot
+
+
+NONE = Effects()
+
+
+def guarded(effect: Effect, hook: Callable[..., Data], *data: object, kind: type) -> Data:
+    """What a hook makes of its data. Raises InputError that names the effect, whatever its code raised."""
+    where = f"effects.{effect.name}"
+    try:
+        found = hook(*data)
+    except InputError as error:
+        raise InputError(f"{where}: {error.field}", error.value, error.allowed, error.mend) from error
+    except Exception as error:  # an effect may be anybody's code; the worker stays unharmed
+        place = traceback.extract_tb(error.__traceback__)[-1]
+        raised = f"{type(error).__name__}: {error}"[:300]
+        mend = f"line {place.lineno} of {place.filename.rpartition('/')[2]}; try luxloop effects check"
+        raise InputError(where, raised, "an effect that does not raise", mend) from error
+    if not isinstance(found, kind):
+        raise InputError(where, type(found).__name__, f"a {kind.__name__}, as it was given one", "return it")
+    return found
+
+
+def _image(effect: Effect, hook: Callable[..., Real], image: Real, frame: object) -> Real:
+    """The same for an array, which must keep its shape and be finite."""
+    found = guarded(effect, hook, image, frame, kind=np.ndarray)
+    where = f"effects.{effect.name}"
+    if found.shape != image.shape:
+        raise InputError(where, f"shape {found.shape}", f"shape {image.shape}, that of what it is given")
+    if not np.all(np.isfinite(found)):
+        raise InputError(where, "values that are not finite", "finite numbers", "look for a division by zero")
+    return np.asarray(found, np.float64)
+
+
+def _may_change(effect: Effect, part: str) -> bool:
+    if effect.stage not in MAY_CHANGE:
+        return True
+    return any(part == one or part.startswith(f"{one}.") for one in MAY_CHANGE[effect.stage])

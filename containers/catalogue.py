@@ -1,0 +1,135 @@
+"""Which effects a worker knows: those of the catalogue, of installed packages, and of the user's own folder.
+
+    containers/effects/NAME.py         the catalogue
+    entry points `luxloop.effects`     of installed packages
+    LUXLOOP_EFFECTS/*.py               the user's own; known by name and SHA-256 of the file
+
+A request names effects; no code ever comes over the bus. Where a request has another hash than the worker, the folder
+is looked through again, and only then the request is refused, with both hashes.
+"""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+from collections.abc import Sequence
+from functools import lru_cache
+from importlib.metadata import entry_points
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from containers import effects as shipped
+from containers.acting import Effects
+from containers.effect import Effect
+from containers.effect_files import Loaded, load_folder
+from luxloop.effect import AppliedEffect, EffectSpec, check, did_you_mean, refuse_twice
+from luxloop.errors import InputError, RemoteError
+from luxloop.failure import Failure
+from luxloop.words import parse
+
+
+class Catalogue:
+    """The effects that a worker knows; `folder` has the user's own, None: none of those."""
+
+    def __init__(self, folder: Path | None = None) -> None:
+        self._folder = folder
+        self._own = Loaded()
+        self.rescan()
+
+    def rescan(self) -> None:
+        """Look through the user's folder again; a file that is as it was is not loaded again."""
+        if self._folder is not None:
+            self._own = load_folder(self._folder, self._own, taken=frozenset(_shipped()))
+
+    @property
+    def specs(self) -> list[EffectSpec]:
+        """What there is, the catalogue first."""
+        return [kind.spec() for kind in _shipped().values()] + [one.spec for one in self._own.known.values()]
+
+    @property
+    def refused(self) -> dict[str, str]:
+        """Of the user's files that are not used: why not."""
+        return self._own.refused
+
+    def effects(self, applied: Sequence[AppliedEffect], worker: str) -> Effects:
+        """The effects of a request, ready to act.
+
+        Raises
+        ------
+        RemoteError unknown_effect : an effect that is not known here, or of another source.
+        InputError : a value out of range, an effect twice, two that exclude each other.
+        """
+        refuse_twice("effects", (one.name for one in applied))
+        found = tuple(self._effect(one, worker) for one in applied)
+        names = {one.name for one in found}
+        for one in found:
+            for other in one.excludes:
+                if other in names:
+                    raise InputError("effects", f"{one.name} and {other}", "one of the two", "they say the same")
+        return Effects(found)
+
+    def _effect(self, applied: AppliedEffect, worker: str) -> Effect:
+        spec, kind = self._known(applied, worker)
+        check(applied, spec)
+        return parse(kind, applied.parameters, f"effects.{applied.name}")
+
+    def _known(self, applied: AppliedEffect, worker: str) -> tuple[EffectSpec, type[Effect]]:
+        kind = _shipped().get(applied.name)
+        if kind is not None:
+            return kind.spec(), kind
+        own = self._own.known.get(applied.name)
+        if own is None or own.spec.source_sha256 != applied.source_sha256:
+            self.rescan()
+            own = self._own.known.get(applied.name)
+        if own is None or own.spec.source_sha256 != applied.source_sha256:
+            raise RemoteError(self._unknown(applied, own.spec if own else None, worker))
+        return own.spec, own.kind
+
+    def _unknown(self, applied: AppliedEffect, own: EffectSpec | None, worker: str) -> Failure:
+        names = [spec.name for spec in self.specs]
+        file = f"{applied.name}.py"
+        if own is not None:
+            allowed = f"the source with SHA-256 {own.source_sha256}"
+            mend = "give all workers the same file and the model its hash: luxloop effects check"
+        elif file in self.refused:
+            allowed, mend = "a source that can be used", self.refused[file]
+        else:
+            allowed = f"one of {len(names)}, luxloop effects list shows them"
+            mend = did_you_mean(applied.name, names) or f"put its file into the workers' folder {self._folder}"
+        return Failure(
+            code="unknown_effect",
+            message=f"the {worker} worker does not know effect {applied.name}"
+            + (f" with source {applied.source_sha256}" if applied.source_sha256 else ""),
+            field=f"effects.{applied.name}",
+            value=applied.source_sha256 or applied.name,
+            allowed=allowed,
+            mend=mend[:4000],
+        )
+
+
+def told(catalogue: Catalogue) -> dict[str, Any]:
+    """What a worker says of the effects it knows."""
+    specs = [spec.model_dump(mode="json", exclude_defaults=True) for spec in catalogue.specs]
+    return {"effects": specs, "refused_effects": catalogue.refused}
+
+
+@lru_cache(maxsize=1)
+def _shipped() -> dict[str, type[Effect]]:
+    """The catalogue and the effects of installed packages, by name. Raises InputError for one name twice."""
+    modules = [
+        importlib.import_module(f"{shipped.__name__}.{one.name}") for one in pkgutil.iter_modules(shipped.__path__)
+    ]
+    kinds = [kind for module in modules for kind in effects_in(module)]
+    kinds += [point.load() for point in entry_points(group="luxloop.effects")]
+    refuse_twice("effects", (kind.name for kind in kinds))
+    return {kind.name: kind for kind in kinds}
+
+
+def effects_in(module: ModuleType) -> list[type[Effect]]:
+    """The effects that a module defines, in the order of their lines."""
+    return [
+        one
+        for one in vars(module).values()
+        if isinstance(one, type) and issubclass(one, Effect) and one.__module__ == module.__name__
+    ]
