@@ -1,20 +1,24 @@
 """Does calibration find the truth, and does the test of structure cry wolf? On images by Monte Carlo, not the twin.
 
-    python benchmarks/calibration_study.py [--truths 20] [--draws 15] [--histories 2000000] [--anchor 4000000]
+    python -m benchmarks.calibration_study [--truths 20] [--draws 15] [--resume FILE]
 
 Each truth has its own reflectances and loss. Its six images (single chips and 5 x 5, 0, 2.5 and 5.5 pairs, the
 declared camera) come of Monte Carlo; the fit is told the noise that this left in them (a laboratory's light does
 not run out). Three parameters are fitted, without priors, about an anchor of its own random numbers; then further
-noise is drawn on the same truth, without and with a fixed pattern of 1 %, and fitted on the linear model there.
+noise is drawn on the same truth, without and with a fixed pattern of 1 %, and fitted on the linear model there. Draws
+on one truth share its Monte Carlo and that of its anchor: intervals are therefore given with whole truths drawn
+again, too. With --resume, truths found in the file are not computed again.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -33,11 +37,14 @@ from luxloop.model import Fit as Limits
 from luxloop.model import Model
 from luxloop.model_file import find_model
 from luxloop.settings import load_settings
-from validation.contrasts import structure
+from validation.contrasts.null import Variances, null
+from validation.contrasts.structure import fit_layout, fit_projection, judged
 from validation.dataset.manifest import CameraFacts, ImageShot, Sample
 from validation.dataset.simulate import DECLARED, expected_images, paper_plan, views_of
 from validation.fit import Fit, fit
-from validation.fit.problem import ImagePredictor, view_of
+from validation.fit.image_fit import linearised
+from validation.fit.problem import Evaluation, ImagePredictor
+from validation.fit.result import conclude
 from validation.measured import MeasuredImage
 from validation.noise import draw
 from validation.prediction import Anchored, Predicted, Predictor, View
@@ -53,8 +60,8 @@ FREE = {
 """What is fitted, and between which limits truths are drawn."""
 START = {"environment.substrate.reflectance": 0.965, "environment.receiver.reflectance": 0.35,
          "environment.chip_absorption_per_cm": 200.0}  # fmt: skip
-PATTERN_PERCENT = 1.0
-STRUCTURE_DRAWS = 2000
+PATTERNS_PERCENT = (0.0, 1.0)
+NULL_DRAWS = 10_000
 
 
 @dataclass(frozen=True)
@@ -84,33 +91,6 @@ class Told:
             for one, more in zip(found, self._truth.noise, strict=True)
             if one.noise_per_mm2 is not None
         ]
-
-
-class Linear:
-    """Predicts by the derivatives at a fit: what another draw of noise moves is small."""
-
-    def __init__(self, at: Fit, predictor: ImagePredictor) -> None:
-        problem = at.problem
-        paths = (*problem.unknowns.model_paths, "shift_row_px", "shift_column_px", "rotation_deg")
-        views = [view_of(one, at.poses[one.shot.id]) for one in problem.images]
-        self._views, self._model = views, at.model
-        self._found = predictor.images(at.model, views, paths, problem.anchor)
-
-    def images(
-        self, model: Model, views: Sequence[View], paths: Sequence[str] = (), anchor: Anchored | None = None
-    ) -> list[Predicted]:
-        """The images."""
-        del paths, anchor  # always all derivatives, always about the fit's own anchor
-        moved = []
-        here, there = self._model.leaves(), model.leaves()
-        for view, at, found in zip(views, self._views, self._found, strict=True):
-            change = {path: there[path] - here[path] for path in FREE}
-            change["shift_row_px"] = view.pose.shift_px[0] - at.pose.shift_px[0]
-            change["shift_column_px"] = view.pose.shift_px[1] - at.pose.shift_px[1]
-            change["rotation_deg"] = view.pose.rotation_deg - at.pose.rotation_deg
-            image = found.irradiance_per_mm2 + sum(by * found.jacobian_per_mm2[path] for path, by in change.items())
-            moved.append(replace(found, irradiance_per_mm2=image))
-        return moved
 
 
 def truth_of(model: Model, samples: Sequence[Sample], histories: int, seed: int) -> Truth:
@@ -168,53 +148,84 @@ def start_model() -> Model:
     return model
 
 
-def share(count: int, of: int) -> str:
-    """A share in percent with its Clopper-Pearson interval of 95 %."""
-    low = beta.ppf(0.025, count, of - count + 1) if count else 0.0
-    high = beta.ppf(0.975, count + 1, of - count) if count < of else 1.0
-    return f"{100.0 * count / of:5.1f} % ({count} of {of}; {100.0 * low:.1f} to {100.0 * high:.1f})"
+def truths_model(number: int) -> Model:
+    """The model of a truth: drawn from its number alone."""
+    rng, model = np.random.default_rng((20260, number)), start_model()
+    for path, (low, high) in FREE.items():
+        model = model.with_value(path, float(rng.uniform(low, high)))
+    return model
+
+
+def studied(number: int, predictor: Predictor, asked: argparse.Namespace) -> dict[str, Any]:
+    """What one truth says: pulls of its full fit and of each draw, p-values, whether they were trusted."""
+    began_s, samples, at = time.perf_counter(), paper_plan().samples, truths_model(number)
+    truth = truth_of(at, samples, asked.histories, 100 + number)
+    lit_s = time.perf_counter()
+    seed = 10_000 * (number + 1)
+    anchor_at = partial(anchor_of, asked.anchor, 7 + number)
+    found = fit(start_model(), measured(truth, samples, DECLARED, seed), Told(predictor, truth), anchor_at=anchor_at,
+                most_histories=asked.most)  # fmt: skip
+    fitted_s = time.perf_counter()
+    row: dict[str, Any] = {
+        "truth": number, "full": pulls(found, at), "trusted": found.trusted, "reasons": found.distrust,
+        "share": found.noise_share, "chi2": found.chi2_per_row, "iterations": found.iterations,
+        "histories": found.problem.anchor.histories if found.problem.anchor else 0,
+        "value": [found.value(path) for path in FREE], "error": [found.error(path) for path in FREE],
+        "at": [at.leaves()[path] for path in FREE],
+    }  # fmt: skip
+    there = found.problem.evaluate(found.values)
+    for percent in PATTERNS_PERCENT:
+        row[f"draws {percent:g} %"] = list(drawn(truth, samples, there, percent, seed, asked.draws, at))
+    row["seconds"] = [lit_s - began_s, fitted_s - lit_s, time.perf_counter() - fitted_s]
+    return row
+
+
+def drawn(
+    truth: Truth, samples: Sequence[Sample], there: Evaluation, percent: float, seed: int, count: int, at: Model
+) -> Iterator[dict[str, Any]]:
+    """Further noise on a truth, fitted on the linear model at its fit: one null serves all of these."""
+    camera = DECLARED.model_copy(update={"prnu_percent": percent})
+    prepared: Any = None
+    for turn in range(count):
+        images = measured(truth, samples, camera, seed + 100 + turn + 5_000 * (percent > 0.0))
+        here = replace(there, problem=replace(there.problem, images=tuple(images)))
+        white = prepared[0] if prepared else None
+        white, reduced, columns = linearised(here, white)
+        other = prepared[2] if prepared else here.other_columns(white)
+        one = conclude(here, white, reduced, columns, reduced.step(), 1, True, other)
+        if prepared is None:
+            layout, projection = fit_layout(one), fit_projection(one)
+            variances = Variances.of(layout, projection)
+            drawn_null = null(layout, projection, variances.weight, NULL_DRAWS, seed)
+            prepared = white, (layout, projection, variances, drawn_null), other
+        p = judged(one.residual, *prepared[1]).p
+        yield {"pulls": pulls(one, at), "p": p, "trusted": one.trusted, "chi2": one.chi2_per_row}
 
 
 def main() -> None:
-    """Run the study and print its tables."""
+    """Run the study, truth by truth, and print its tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    for name, default in (("truths", 20), ("draws", 15), ("histories", 2_000_000), ("anchor", 4_000_000)):
+    counts = {"truths": 20, "draws": 15, "histories": 4_000_000, "anchor": 4_000_000, "most": 0, "first": 0}
+    for name, default in counts.items():
         parser.add_argument(f"--{name}", type=int, default=default)
+    parser.add_argument("--resume", type=Path, help="file of truths that are done: those are read, others appended")
     asked = parser.parse_args()
-    samples, model = paper_plan().samples, start_model()
-    rng = np.random.default_rng(20260)
-    pulls: dict[str, list[float]] = {path: [] for path in FREE}
-    first: dict[str, list[float]] = {path: [] for path in FREE}
-    alarms: dict[str, list[float]] = {"without a pattern": [], f"pattern of {PATTERN_PERCENT:g} %": []}
-    untrusted, began_s, model_noise = 0, time.perf_counter(), []
+    rows = {}
+    if asked.resume and asked.resume.exists():
+        rows = {row["truth"]: row for row in map(json.loads, asked.resume.read_text().splitlines())}
     with Client(load_settings(), patience_s=300.0) as client:
         predictor = Predictor(client)
-        for number in range(asked.truths):
-            at = model
-            for path, (low, high) in FREE.items():
-                at = at.with_value(path, float(rng.uniform(low, high)))
-            truth = truth_of(at, samples, asked.histories, 100 + number)
-            told = Told(predictor, truth)
-            images = measured(truth, samples, DECLARED, 10_000 * (number + 1))
-            found = fit(model, images, told, anchor_at=partial(anchor_of, asked.anchor, 7 + number))
-            model_noise.append(float(np.sqrt((found.noise**2).sum(axis=0).mean())))
-            keep(found, at, first)
-            linear = Linear(found, told)
-            for pattern, name in zip((0.0, PATTERN_PERCENT), alarms, strict=True):
-                camera = DECLARED.model_copy(update={"prnu_percent": pattern})
-                for turn in range(asked.draws):
-                    seed = 10_000 * (number + 1) + 100 + turn + 50 * (pattern > 0.0)
-                    one = fit(found.model, measured(truth, samples, camera, seed), linear,
-                              anchor_at=lambda m: Anchored(m, 1))  # fmt: skip
-                    untrusted += not one.trusted
-                    alarms[name].append(structure(one, draws=STRUCTURE_DRAWS, seed=seed).p)
-                    if not pattern:
-                        keep(one, at, pulls)
-            pull = ", ".join(f"{first[path][-1]:+.2f}" for path in FREE)
-            print(
-                f"truth {number + 1}: {time.perf_counter() - began_s:.0f} s, pulls of its full fit {pull}", flush=True
-            )
-    tell(pulls, first, alarms, untrusted, model_noise)
+        for number in range(asked.first, asked.first + asked.truths):
+            if number in rows:
+                continue
+            rows[number] = row = studied(number, predictor, asked)
+            if asked.resume:
+                with asked.resume.open("a") as stream:
+                    stream.write(json.dumps(row) + "\n")
+            told = ", ".join(f"{one:+.2f}" for one in row["full"])
+            steps = ", ".join(f"{one:.0f}" for one in row["seconds"])
+            print(f"truth {number}: truth, fit, draws in {steps} s; pulls of its full fit {told}", flush=True)
+    tell([rows[number] for number in sorted(rows)])
 
 
 def anchor_of(histories: int, seed: int, model: Model) -> Anchored:
@@ -222,28 +233,51 @@ def anchor_of(histories: int, seed: int, model: Model) -> Anchored:
     return Anchored(model, histories, seed)
 
 
-def keep(found: Fit, truth: Model, pulls: dict[str, list[float]]) -> None:
-    """Value less truth over its error."""
-    for path in FREE:
-        pulls[path].append((found.value(path) - truth.leaves()[path]) / found.error(path))
+def pulls(found: Fit, truth: Model) -> list[float]:
+    """Value less truth over its error, of each parameter."""
+    return [(found.value(path) - truth.leaves()[path]) / found.error(path) for path in FREE]
 
 
-def tell(pulls: Any, first: Any, alarms: Any, untrusted: int, model_noise: Sequence[float]) -> None:
+def share(hits: Sequence[Sequence[bool]]) -> str:
+    """The share of hits in percent, lists of one truth each; its interval of 95 % with whole truths drawn again."""
+    counts = np.array([[sum(one), len(one)] for one in hits])
+    again = counts[np.random.default_rng(1).integers(len(counts), size=(4000, len(counts)))].sum(axis=1)
+    low, high = np.quantile(100.0 * again[:, 0] / again[:, 1], (0.025, 0.975))
+    hit, of = counts.sum(axis=0)
+    by_truths = f"{low:.1f} to {high:.1f} with whole truths drawn again"
+    return f"{100.0 * hit / of:5.1f} % ({hit} of {of}; {by_truths}, {exact(hit, of)} as if all were independent)"
+
+
+def exact(hit: int, of: int) -> str:
+    """The interval of Clopper and Pearson, 95 %, in percent."""
+    low = beta.ppf(0.025, hit, of - hit + 1) if hit else 0.0
+    high = beta.ppf(0.975, hit + 1, of - hit) if hit < of else 1.0
+    return f"{100.0 * low:.1f} to {100.0 * high:.1f}"
+
+
+def tell(rows: Sequence[dict[str, Any]]) -> None:
     """The tables."""
-    print(f"\n{load()}; noise of the Monte Carlo in all images: {np.mean(model_noise):.2f} of the camera's, rms")
+    noise, chi2 = (np.mean([row[name] for row in rows]) for name in ("share", "chi2"))
+    print(
+        f"\n{load()}; {len(rows)} truths; Monte Carlo noise {noise:.2f} of the camera's, rms; chi2 per row {chi2:.3f}"
+    )
     print("95 % intervals that hold the truth")
-    for path in FREE:
-        inside = np.abs(pulls[path]) < 1.96
-        alone = np.abs(first[path]) < 1.96
-        print(f"  {path:38} {share(int(inside.sum()), inside.size)}; full fits {share(int(alone.sum()), alone.size)}")
-    every = np.abs([one for path in FREE for one in pulls[path]]) < 1.96
-    print(f"  {'all three':38} {share(int(every.sum()), every.size)}")
+    plain = f"draws {PATTERNS_PERCENT[0]:g} %"
+    for index, path in enumerate(FREE):
+        inside = [[abs(one["pulls"][index]) < 1.96 for one in row[plain]] for row in rows]
+        alone = [[abs(row["full"][index]) < 1.96] for row in rows]
+        of_full = np.array([row["full"][index] for row in rows])
+        bias = f"pulls {of_full.mean():+.2f} +- {of_full.std() / np.sqrt(len(rows)):.2f}, sd {of_full.std():.2f}"
+        print(f"  {path}\n    draws      {share(inside)}\n    full fits  {share(alone)}; {bias}")
+    every = [[abs(pull) < 1.96 for one in row[plain] for pull in one["pulls"]] for row in rows]
+    alone = [[abs(pull) < 1.96 for pull in row["full"]] for row in rows]
+    print(f"  all three\n    draws      {share(every)}\n    full fits  {share(alone)}")
     print("alarms of the structure test, nothing hidden")
-    for name, found in alarms.items():
-        p = np.array(found)
-        one, five = (share(int((p < level).sum()), p.size) for level in (0.01, 0.05))
-        print(f"  {name:20} at 1 %: {one}; at 5 %: {five}")
-    print(f"fits not trusted: {untrusted}")
+    for percent in PATTERNS_PERCENT:
+        for level in (0.01, 0.05):
+            found = [[one["p"] < level for one in row[f"draws {percent:g} %"]] for row in rows]
+            print(f"  pattern of {percent:g} %, at {100 * level:g} %: {share(found)}")
+    print(f"full fits not trusted: {sum(not row['trusted'] for row in rows)} of {len(rows)}")
 
 
 if __name__ == "__main__":

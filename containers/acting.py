@@ -26,6 +26,7 @@ from containers.effect import (
     changed,
 )
 from containers.scene import Scene
+from containers.stack import StackRows
 from luxloop.camera import Camera
 from luxloop.errors import InputError
 from luxloop.stack import Stack
@@ -66,6 +67,31 @@ class Effects:
     def film(self, stack: Stack) -> tuple[tuple[float, Stack], ...]:
         """Shares of the spot on a measured film, and the stack at each of them."""
         return self._spot(stack, "film")
+
+    @property
+    def makes_media(self) -> bool:
+        """Whether one of them acts on the rows of a measured film."""
+        return any(type(one).rows is not StackEffect.rows for one in self._of("film"))
+
+    def rows(self, rows: StackRows) -> StackRows:
+        """What lies on a measured film, at the wavelengths of a measurement."""
+        for effect in self._of("film"):
+            after = guarded(effect, effect.rows, rows, kind=StackRows)
+            if after is not rows and not np.all(np.isfinite(after.index) & (after.index.imag >= 0.0)):
+                raise InputError(f"effects.{effect.name}", "an index that is none", "finite n, and k from 0 on")
+            rows = after
+        return rows
+
+    @property
+    def varies_over_module(self) -> bool:
+        """Whether one of them gives chips at different places different DBRs."""
+        return any(type(one).beside is not StackEffect.beside for one in self._of("dbr"))
+
+    def beside(self, stack: Stack, x_um: float) -> Stack:
+        """The DBR of a chip at x from the module's centre, where that of a chip at the centre is `stack`."""
+        for effect in self._of("dbr"):
+            stack = guarded(effect, effect.beside, stack, x_um, kind=Stack)
+        return stack
 
     def scene(self, scene: Scene) -> Scene:
         """The module that rays are traced in."""
@@ -123,13 +149,15 @@ class Effects:
 
     def _spot(self, stack: Stack, of: Literal["dbr", "film"]) -> tuple[tuple[float, Stack], ...]:
         spot: tuple[tuple[float, Stack], ...] = ((1.0, stack),)
-        for effect in self.all:
-            if isinstance(effect, StackEffect) and of in effect.of:
-                spread = [(share, guarded(effect, effect.stacks, one, kind=tuple)) for share, one in spot]
-                spot = tuple((share * part, one) for share, parts in spread for part, one in parts)
-                if abs(sum(share for share, _ in spot) - 1.0) > SHARES:
-                    raise InputError(f"effects.{effect.name}", sum(s for s, _ in spot), "shares of sum 1")
+        for effect in self._of(of):
+            spread = [(share, guarded(effect, effect.stacks, one, kind=tuple)) for share, one in spot]
+            spot = tuple((share * part, one) for share, parts in spread for part, one in parts)
+            if abs(sum(share for share, _ in spot) - 1.0) > SHARES:
+                raise InputError(f"effects.{effect.name}", sum(s for s, _ in spot), "shares of sum 1")
         return spot
+
+    def _of(self, of: Literal["dbr", "film"]) -> list[StackEffect]:
+        return [one for one in self.all if isinstance(one, StackEffect) and of in one.of]
 
 
 NONE = Effects()

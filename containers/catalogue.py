@@ -16,13 +16,12 @@ from collections.abc import Sequence
 from functools import lru_cache
 from importlib.metadata import entry_points
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 from containers import effects as shipped
 from containers.acting import Effects
 from containers.effect import Effect
-from containers.effect_files import Loaded, load_folder
+from containers.effect_files import Loaded, effects_in, load_folder
 from luxloop.effect import AppliedEffect, EffectSpec, check, did_you_mean, refuse_twice
 from luxloop.errors import InputError, RemoteError
 from luxloop.failure import Failure
@@ -51,6 +50,14 @@ class Catalogue:
     def refused(self) -> dict[str, str]:
         """Of the user's files that are not used: why not."""
         return self._own.refused
+
+    @property
+    def trials(self) -> dict[str, Any]:
+        """What the trials of the user's files found, by file: its hash, and a line for each thing looked at."""
+        return {
+            file: {"sha256": trial.sha256, "findings": [dict(one) for one in trial.findings]}
+            for file, trial in self._own.trials.items()
+        }
 
     def effects(self, applied: Sequence[AppliedEffect], worker: str) -> Effects:
         """The effects of a request, ready to act.
@@ -111,7 +118,7 @@ class Catalogue:
 def told(catalogue: Catalogue) -> dict[str, Any]:
     """What a worker says of the effects it knows."""
     specs = [spec.model_dump(mode="json", exclude_defaults=True) for spec in catalogue.specs]
-    return {"effects": specs, "refused_effects": catalogue.refused}
+    return {"effects": specs, "refused_effects": catalogue.refused, "effect_trials": catalogue.trials}
 
 
 @lru_cache(maxsize=1)
@@ -124,12 +131,3 @@ def _shipped() -> dict[str, type[Effect]]:
     kinds += [point.load() for point in entry_points(group="luxloop.effects")]
     refuse_twice("effects", (kind.name for kind in kinds))
     return {kind.name: kind for kind in kinds}
-
-
-def effects_in(module: ModuleType) -> list[type[Effect]]:
-    """The effects that a module defines, in the order of their lines."""
-    return [
-        one
-        for one in vars(module).values()
-        if isinstance(one, type) and issubclass(one, Effect) and one.__module__ == module.__name__
-    ]

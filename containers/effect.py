@@ -25,6 +25,7 @@ from pydantic import Field, JsonValue
 
 from containers.bsdf import Bsdf
 from containers.scene import Chip, Emission, Receiver, Scene
+from containers.stack import StackRows
 from luxloop.camera import Camera
 from luxloop.effect import EffectParameter, EffectSpec, Scope, Stage
 from luxloop.errors import InputError
@@ -135,6 +136,14 @@ class StackEffect(Effect):
     def stacks(self, stack: Stack) -> tuple[tuple[float, Stack], ...]:
         """Shares of the measured spot, of sum 1, and what lies there; their powers are added."""
         return ((1.0, self.stack(stack)),)
+
+    def rows(self, rows: StackRows) -> StackRows:
+        """What lies there at the wavelengths of a measurement, where a medium of its own is to be made."""
+        return rows
+
+    def beside(self, stack: Stack, x_um: float) -> Stack:  # noqa: ARG002  # a hook
+        """The DBR of a chip at x from the module's centre, of `stack` there."""
+        return stack
 
 
 class SceneEffect(Effect):

@@ -179,11 +179,12 @@ class _Question:
         self, client: Client, measurements: dict[str, list[FilmMeasurementRequest]], show: bool
     ) -> dict[str, Any]:
         """The result document."""
-        films = self.films
+        films, warnings = self.films, dict[str, None]()
         for name, requests in measurements.items():
             for number, answer in answers(client, requests, "films" if name == "values" else "curves", show):
                 films[number][name] = [float(value) for value in answer.arrays["value"].ravel()]
                 films[number].setdefault("worker", answer.worker)
+                warnings |= dict.fromkeys(answer.result.get("warnings", ()))
         unit = "deg" if self.quantity in ("psi", "delta") else "1"
         return {
             "command": "film",
@@ -197,6 +198,7 @@ class _Question:
             "bandwidth_nm": self.bandwidth_nm,
             "model": {"name": self.model_name, "sha256": self.model.sha256},
             "films": films,
+            "warnings": list(warnings),
             **({"curve_axis": self.curve_axis} if "curve" in measurements else {}),
         }
 
@@ -249,7 +251,7 @@ class _Question:
             FilmMeasurementRequest,
             {
                 **where,
-                "effects": tuple(effect for effect in self.model.effects if self.stack is None),
+                "effects": self.model.effects,
                 "quantity": self.quantity,
                 "wavelength_nm": tuple(self.wavelengths_nm if along_angle else values),
                 "aoi_deg": tuple(values if along_angle else self.angles_deg),

@@ -11,6 +11,7 @@ FIRST_COLUMN = 13  # characters
 def as_text(document: dict[str, Any], columns: int | None) -> str:
     """What a person reads: the values in as many blocks as `columns` characters ask for, then tables and files."""
     lines = [_caption(document), *_blocks(document, columns)]
+    lines += [f"WARNING: {warning}" for warning in document.get("warnings", ())]
     for film in document["films"]:
         if "table" in film:
             table = film["table"]

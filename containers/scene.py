@@ -14,7 +14,8 @@ Kernels see none of this but arrays made from it (`ray_tracing.packing`).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -26,6 +27,8 @@ from luxloop.errors import InputError
 
 Real = NDArray[np.float64]
 
+DIRECTIONS = 401
+"""Cosines at least, where an intensity is multiplied: a parabola is then met to 1e-5 of its rise."""
 CLEARANCE_UM = 1e-3
 """Chips must end this far below the receiver, and this far from each other."""
 
@@ -94,6 +97,21 @@ class Emission:
             raise InputError("cosine", cosine.shape, "increasing cosines, one for each intensity")
         if position.ndim != 2 or not position.sum() > 0.0 or not intensity.sum() > 0.0:
             raise InputError("position", position.shape, "weights (y, x), not all 0", "something must shine")
+
+    def by_direction(self, factor: Callable[[Real], Real]) -> Emission:
+        """The emission with its intensity multiplied by a function of the cosine to the chip's normal."""
+        cosine = np.union1d(self.cosine, np.linspace(self.cosine[0], self.cosine[-1], DIRECTIONS))
+        intensity = np.interp(cosine, self.cosine, self.intensity) * factor(cosine)
+        return replace(self, cosine=cosine, intensity=intensity)
+
+    def by_place(self, weights: Real) -> Emission:
+        """The emission with its weights of places multiplied by those (y, x) of equal cells of the chip's area."""
+        shape = [int(np.lcm(a, b)) for a, b in zip(self.position.shape, weights.shape, strict=True)]
+        fine = [
+            np.kron(one, np.ones((shape[0] // one.shape[0], shape[1] // one.shape[1])))
+            for one in (self.position, weights)
+        ]
+        return replace(self, position=fine[0] * fine[1])
 
     @property
     def symmetric(self) -> bool:
@@ -204,8 +222,17 @@ class Scene:
     """(wavelength,), of sum 1."""
     tilt_per_um: tuple[float, float] = (0.0, 0.0)
     """Relative rise of the receiver along x and y."""
+    tops: tuple[tuple[Face, Real], ...] = ()
+    """Top faces that chips of an array have instead of the chip's, and the share (row, column) or (column,) that each
+    has of their light, of sum 1; none: all have the chip's."""
+    leak_share: float = 0.0
+    """Of the light that reaches the substrate beside the chips: goes on inside it and comes out again elsewhere."""
+    leak_um: float = 0.0
+    """L of the density exp(-r / L) / (2 pi L^2) of that displacement."""
 
     def __post_init__(self) -> None:
+        within("leak_share", self.leak_share, 0.0, 1.0, "a share of the light at the substrate")
+        within("leak_um", self.leak_um, 0.0, 1e5, "a length in um")
         self._refuse_what_does_not_fit()
         self._refuse_wavelengths()
         if float(np.min(self.receiver.bsdf.albedo(np.linspace(0.0, 1.5, 4)))) >= 1.0:
@@ -219,7 +246,8 @@ class Scene:
     @property
     def symmetric(self) -> bool:
         """Whether the map of the cell, or of the module, has the eight symmetries of the square."""
-        return self.layout.symmetric and self.emission.symmetric and not any(self.tilt_per_um)
+        even = not any(self.tilt_per_um) and not self.tops
+        return self.layout.symmetric and self.emission.symmetric and even
 
     def _refuse_what_does_not_fit(self) -> None:
         within("distance_um", self.distance_um, 0.0, 1e6, "above the chips", above=True)

@@ -9,6 +9,7 @@ and back. A GaN layer on the GaN bulk is optically part of it, hence R(gan_first
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -64,6 +65,11 @@ def resolve(stack: Stack, wavelength_nm: ArrayLike) -> StackRows:
 
 
 def _index(medium: Medium, wavelength: NDArray[np.float64]) -> NDArray[np.complex128]:
+    if medium.plus is not None:
+        index = _index(medium.model_copy(update={"plus": None}), wavelength) + complex(*medium.plus)
+        if index.real.min() <= 0.0 or index.imag.min() < 0.0:
+            raise InputError("plus", medium.plus, f"n above 0 and k from 0 on, for all of {medium}", "add less")
+        return index
     if medium.material is not None:
         return material(medium.material).index(wavelength)
     if medium.cauchy is not None:
@@ -127,3 +133,49 @@ def dbr_of(environment: Environment, dbr_pairs: float, roughness_nm: float = 0.0
         layer_order=environment.layer_order,
         roughness_nm=roughness_nm,
     )
+
+
+def added(medium: Medium, n: float = 0.0, k: float = 0.0) -> Medium:
+    """The medium with n and k larger by so much at all wavelengths; the very same one for zeros."""
+    if not n and not k:
+        return medium
+    if medium.n is not None and medium.plus is None:
+        return Medium(n=medium.n + n, k=medium.k + k)
+    before = medium.plus or (0.0, 0.0)
+    return medium.model_copy(update={"plus": (before[0] + n, before[1] + k)})
+
+
+def with_layers(stack: Stack, change: Callable[[Layer], Layer]) -> Stack:
+    """The stack with each of its layers changed."""
+    return stack.model_copy(update={"layers": tuple(map(change, stack.layers))})
+
+
+def kind_of(layer: Layer, stack: Stack) -> int:
+    """GAN or ALN for a layer of a DBR: GaN is what the bulk is made of, or literature's GaN; AlN all else."""
+    return GAN if layer.medium == stack.inside or layer.medium.material == "GaN" else ALN
+
+
+def roughened(stack: Stack, roughness_nm: float) -> Stack:
+    """The stack with all its faces rougher; variances of heights add up. The very same one for 0."""
+    if not roughness_nm:
+        return stack
+    rougher = with_layers(stack, lambda layer: layer.model_copy(update=_rougher(layer.roughness_nm, roughness_nm)))
+    return rougher.model_copy(
+        update={"inside_roughness_nm": float(np.hypot(stack.inside_roughness_nm, roughness_nm))}
+    )
+
+
+def _rougher(before_nm: float, more_nm: float) -> dict[str, float]:
+    return {"roughness_nm": float(np.hypot(before_nm, more_nm))}
+
+
+def film_layer(thickness_nm: Iterable[float], coherent: Iterable[bool]) -> int | None:
+    """Number of the layer that is called the film of a sample: the thickest coherent one; None: there is none."""
+    films = [(nm, number) for number, (nm, kept) in enumerate(zip(thickness_nm, coherent, strict=True)) if kept]
+    return max(films, key=lambda film: film[0], default=(0.0, None))[1]
+
+
+def film_face(thickness_nm: Iterable[float], coherent: Iterable[bool], side: Literal["inner", "outer"]) -> int:
+    """Number of the film's face to the inside (inner) or outside (outer); 0 is the bulk's, also without a film."""
+    film = film_layer(thickness_nm, coherent)
+    return 0 if film is None else film + (side == "outer")

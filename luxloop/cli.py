@@ -27,6 +27,7 @@ GROUPS = {
     "designers": "The designers there are, beside each other.",
     "audit": "A run's journal: look at it, verify it, replay it, mend it.",
     "materials": "The optical constants that ship with luxloop.",
+    "effects": "Physical effects: those there are, what they do, your own.",
     "dataset": "Measured data: check it, import it, simulate it, show it.",
     "model": "The model file: make one, look at it, compare versions, go back.",
 }

@@ -115,11 +115,11 @@ class Client:
                 on_pending(parcel.message)
 
     def map(
-        self, requests: Iterable[Request | Task], *, lanes: int = 8, limit_s: float = 600.0
+        self, requests: Iterable[Request | Task], *, lanes: int = 8, limit_s: float = 600.0, **options: Any
     ) -> Iterator[tuple[int, Answer | RemoteError]]:
         """(number, answer or failure) of each request as they come in, `lanes` of them under way at once.
 
-        Left early, what is under way is withdrawn.
+        `options` are those of `run`, which is called in several threads. Left early, what is under way is withdrawn.
         """
         numbered, left = enumerate(requests), Interrupt()
         pool = ThreadPoolExecutor(lanes, thread_name_prefix="lane")
@@ -129,7 +129,7 @@ class Client:
                 while True:
                     while len(under_way) < lanes and (item := next(numbered, None)) is not None:
                         number, task = item[0], as_task(item[1])
-                        under_way[pool.submit(self.run, task, limit_s=limit_s, until=left)] = number, task
+                        under_way[pool.submit(self.run, task, limit_s=limit_s, until=left, **options)] = number, task
                     if not under_way:
                         return
                     finished, _ = wait(under_way, return_when=FIRST_COMPLETED)

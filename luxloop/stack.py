@@ -33,6 +33,7 @@ class Medium(Words):
     n: float | None = Field(None, gt=0.0, le=MAX_N)
     k: float = Field(0.0, ge=0.0, le=MAX_K)
     cauchy: tuple[float, float] | None = Field(None, description="a, b in um^2.", exclude_if=lambda it: it is None)
+    plus: tuple[float, float] | None = Field(None, description="Added to n, k.", exclude_if=lambda it: it is None)
 
     @model_validator(mode="after")
     def _one_way_to_say_it(self) -> Medium:
@@ -43,6 +44,8 @@ class Medium(Words):
         return self
 
     def __str__(self) -> str:
+        if self.plus is not None:
+            return f"{self.model_copy(update={'plus': None})}{self.plus[0]:+g}{self.plus[1]:+g}i"
         if self.material is not None:
             return self.material
         if self.cauchy is not None:

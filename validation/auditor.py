@@ -1,8 +1,13 @@
-"""Level 2 of a replay: what a comparison told of its images, anew from the maps of residuals on record."""
+"""Levels 2 and 3 of a replay of comparisons: what was told, anew from what is on record.
+
+2 re-derive    chi2 of every image from its map of residuals
+3 re-decide    from the p-values of the shots: which of them differ, and the sentence; from the counts of draws the
+               p-values in words; the order of families and regions; from the MSE of all candidates the least
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,6 +16,10 @@ from numpy.typing import NDArray
 from luxloop.audit import Compared, Place
 from luxloop.journal.image import frame_of
 from luxloop.journal.reader import RunJournal
+from luxloop.model_file import parse_toml
+from validation.asked import COMMAND as ASKED
+from validation.asked import asked_in
+from validation.comparing import sentence_of
 
 ROUNDING = 1e-3
 """Relative, of chi2: maps are kept to five digits."""
@@ -26,6 +35,8 @@ def re_derive(journal: RunJournal, say: Callable[[Compared], None], *, same_mach
     maps = {frame_of(entry.data): entry.value for entry in journal.records("/map/residual")}
     for entry in journal.records("/validation"):
         step = entry.value
+        if step.command == ASKED:
+            continue
         compared(step.document, maps, Place(say, entry.sequence, f"{step.command} of {step.dataset_sha256[:12]}"))
 
 
@@ -43,3 +54,56 @@ def compared(document: Mapping[str, Any], maps: Mapping[str, NDArray[Any]], at: 
             what, shot["chi2_per_pixel"], float((z**2).sum() / shot["pixels"]), ROUNDING * shot["chi2_per_pixel"],
             "maps are kept to five digits",
         )  # fmt: skip
+
+
+def re_decide(journal: RunJournal, say: Callable[[Compared], None], *, same_machine: bool) -> None:
+    """Compares what was decided with what follows from the numbers that were told with it, and requests with ids.
+
+    The same on any machine: nothing is computed anew but counts and orders.
+    """
+    del same_machine
+    model = journal.attachments().get("model.toml")
+    for one in asked_in(journal):
+        Place(say, one.sequence, f"request {one.task_id[:12]}").exact("request, id", one.task_id, one.task.id)
+    for entry in journal.records("/validation"):
+        step = entry.value
+        if step.command == ASKED:
+            continue
+        at = Place(say, entry.sequence, f"{step.command} of {step.dataset_sha256[:12]}")
+        if model is not None:
+            at.exact("model", step.model_sha256, parse_toml(model.decode(), "model.toml").sha256)
+        decided(step.document, at)
+
+
+def decided(document: Mapping[str, Any], at: Place) -> None:
+    """Compares the decisions of a comparison's or calibration's document with its numbers."""
+    structure, shots = document.get("structure"), document.get("shots", [])
+    for name, one in {"all": structure, **{shot["id"]: shot for shot in shots}}.items():
+        if one is not None and structure is not None:
+            at.exact("p in words", one["p_text"], p_text(one["p"], structure["draws"]), name)
+    for stage in document.get("stages", []):
+        at.exact(f"least MSE, {stage['name']}", stage["best"], least(stage["curves"]))
+    if structure is None or "regions" not in document:
+        return
+    p_of = {shot["id"]: shot["p"] for shot in shots}
+    curves = any(shot["kind"] != "image" for shot in shots)
+    now = sentence_of(p_of, structure["p"], structure["p_text"], curves=curves)
+    at.exact("sentence", document["sentence"], now)
+    at.exact("trusted", document["trusted"], not document["reason"])
+    z = [one["z"] for one in structure["families"]]
+    at.exact("families, the largest first", structure["statistic"], max(z, default=structure["statistic"]))
+    chances = [one["log_chance"] for one in document["regions"]]
+    at.exact("regions, the least likely first", chances, sorted(chances))
+
+
+def p_text(p: float, draws: int) -> str:
+    """How a p-value counted among draws is printed: p = (1 + b) / (1 + draws)."""
+    above = round(p * (1 + draws)) - 1
+    return f"{p:.2g}" if above else f"< 1/{draws}"
+
+
+def least(curves: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """The candidate of the least MSE (Eq. 2) among curves of kinds of scatter."""
+    rows = [(mse, one["label"], x) for one in curves for mse, x in zip(one["mse"], one["x"], strict=True)]
+    mse, label, x = min(rows, key=lambda row: row[0])
+    return {"label": label, "x": x, "mse": mse}

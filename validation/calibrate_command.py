@@ -33,8 +33,14 @@ if TYPE_CHECKING:
     from luxloop.model import Model
     from validation.calibration import Way
 
+MOST_HISTORIES = 128_000_000
+"""Of Monte Carlo, for each sample: at 1.5 million a second minutes for six samples."""
+
 ModelFile = Annotated[str, typer.Option("--model", help="The model file; it names its data (luxloop compare).")]
 Twin = Annotated[bool, typer.Option("--twin", help="Fit with the twin alone, without Monte Carlo.")]
+MostHistories = Annotated[
+    int, typer.Option(min=0, max=10**9, help="The last anchor takes as many as its noise asks for, at most these.")
+]
 
 
 def calibrate(
@@ -50,6 +56,7 @@ def calibrate(
     ] = False,
     twin: Twin = False,
     histories: Histories = HISTORIES,
+    most_histories: MostHistories = MOST_HISTORIES,
     seed: Seed = 1,
     pixel_um: Pixel = None,
     film: Film = None,
@@ -75,15 +82,15 @@ def calibrate(
     observed = Observed.of(subject.dataset, pixel_um, film)
     chosen = paths_of(subject.model, free)
     say = not (as_json or quiet)
-    solver = Solver(None if twin else histories, seed)
+    solver = Solver(None if twin else histories, seed, most_histories)
     way: Way | None = None if fit_only else "joint" if joint else "in turn"
     with (
         session(settings, subject, "calibrate", seed=seed, local=not no_local, say=say) as at,
         bar(say) as progress,
     ):
         found: Calibrated = calibrated(
-            subject.model, observed, at.predictor, solver, way=way, free=chosen, progress=progress,
-            cache=settings.cache_dir / NULLS,
+            subject.model, observed, at.predictor.telling(progress), solver, way=way, free=chosen,
+            progress=progress, cache=settings.cache_dir / NULLS,
         )  # fmt: skip
         document = {
             "command": shlex.join(["luxloop", *sys.argv[1:]]),
@@ -119,12 +126,12 @@ def paths_of(model: Model, free: str | None) -> list[str]:
 
 
 @contextmanager
-def bar(say: bool) -> Iterator[Callable[[float, str], None]]:
+def bar(say: bool, what: str = "calibrating") -> Iterator[Callable[[float, str], None]]:
     """A bar on a terminal: what is told the share done and of what."""
     from rich.console import Console
     from rich.progress import Progress
 
     console = Console(stderr=True)
     with Progress(console=console, transient=True, disable=not (say and console.is_terminal)) as progress:
-        row = progress.add_task("calibrating", total=1.0)
+        row = progress.add_task(what, total=1.0)
         yield lambda share, what: progress.update(row, completed=share, description=what)

@@ -7,7 +7,7 @@ commands print, pages show and journals keep.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,10 +17,12 @@ from numpy.typing import NDArray
 
 from luxloop.model import Model
 from validation.contrasts import Region, Structure, structure
+from validation.curve_profiles import curve_regions, fourier
 from validation.fit import CurveData, CurvesOf, Fit, fit
-from validation.measured import MeasuredImage
+from validation.measured import MeasuredFarField, MeasuredImage, MeasuredSpectrum
 from validation.observed import Observed
-from validation.prediction import Anchored, Predictor
+from validation.prediction import Anchored, Curve, FarView, PredictedCurve, Predictor
+from validation.prediction.far_fields import HISTORIES
 from validation.virtual_realistic import errors_of
 
 Real = NDArray[np.float64]
@@ -29,6 +31,10 @@ SEEN = 0.01
 """A p-value below which a shot is said to differ: one in a hundred shots does by chance."""
 ALL = "all images"
 """In place of a shot's id, where the images were summed up."""
+REGIONS = 20
+"""Told of all that were looked at."""
+MOST_MODEL_NOISE = 0.3
+"""Of a far field's Monte Carlo, rms in the measurement's sigma: as `validation.fit` has it for images."""
 NULLS = "nulls"
 """Folder in the cache: the distribution of noise after a fit depends on its layout, not on its data."""
 
@@ -39,6 +45,8 @@ class Solver:
 
     histories: int | None
     seed: int = 1
+    most_histories: int = 0
+    """Up to which the last anchor is made anew with as many as its noise asks for."""
 
     @property
     def anchor_at(self) -> Callable[[Model], Anchored | None] | None:
@@ -52,7 +60,8 @@ class Solver:
     def document(self) -> dict[str, Any]:
         """For people and machines."""
         method = "twin" if self.histories is None else "anchored"
-        return {"method": method, "histories": self.histories, "seed": self.seed}
+        most = {"most_histories": self.most_histories} if self.most_histories else {}
+        return {"method": method, "histories": self.histories, "seed": self.seed, **most}
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,18 +76,13 @@ class Comparison:
     @property
     def differ(self) -> list[str]:
         """The shots that differ from the model by more than noise."""
-        return [shot for shot, found in self.structure.shots.items() if found.p < SEEN]
+        return differing({shot: found.p for shot, found in self.structure.shots.items()})
 
     @property
     def sentence(self) -> str:
         """What to say first."""
-        count, of = len(self.differ), len(self.observed.shots)
-        kind = "shots" if self.observed.curves else "images"
-        if count:
-            return f"{count} of {of} {kind} differ from the model by more than noise"
-        if self.structure.p < SEEN:
-            return f"together the {of} {kind} differ from the model by more than noise, each alone does not"
-        return f"none of the {of} {kind} differs from the model by more than noise (p = {self.structure.p_text})"
+        p_of = {shot: self.structure.shots[shot].p for shot in self.observed.shots}
+        return sentence_of(p_of, self.structure.p, self.structure.p_text, curves=bool(self.observed.curves))
 
     def document(self) -> dict[str, Any]:
         """Everything that is told, as plain values."""
@@ -86,8 +90,8 @@ class Comparison:
         return {
             "sentence": self.sentence,
             "solver": self.solver.document(),
-            "trusted": self.fit.trusted,
-            "reason": "; ".join(self.fit.distrust),
+            "trusted": not self.distrust,
+            "reason": "; ".join(self.distrust),
             "structure": {
                 "p": found.p, "p_text": found.p_text, "z": found.z, "statistic": found.statistic,
                 "draws": found.draws, "seed": found.seed, "chi2_per_pixel": self.fit.chi2_per_row,
@@ -97,15 +101,38 @@ class Comparison:
                 "families": [{"name": one.name, "z": one.z, "p": one.p} for one in found.families],
             },
             "shots": [self._shot(shot) for shot in self.observed.shots],
-            "regions": [region_document(region) for region in found.where],
+            "regions": [region_document(region) for region in self.regions],
+            "fourier": fourier(self.fit, found.variance_scale),
             "parameters": self._parameters(),
         }  # fmt: skip
 
     @property
+    def regions(self) -> list[Region]:
+        """Where it is least like noise, the least likely first: of images, and of curves by their coordinates."""
+        of_curves = curve_regions(self.fit, self.structure.variance_scale)
+        return sorted((*self.structure.where, *of_curves), key=lambda region: region.log_chance)[:REGIONS]
+
+    @property
+    def distrust(self) -> list[str]:
+        """Why the fit's verdicts may not be used; empty where they may."""
+        shares = {shot: share for shot, share in self.curve_noise_shares.items() if share > MOST_MODEL_NOISE}
+        histories = max(HISTORIES, self.solver.histories or 0)
+        return [*self.fit.distrust] + [
+            f"the Monte Carlo's own noise in {shot} is {share:.2f} of its sigma, above {MOST_MODEL_NOISE:g}: about"
+            f" {float(f'{histories * (share / MOST_MODEL_NOISE) ** 2:.1e}'):,.0f} histories would do"
+            for shot, share in shares.items()
+        ]
+
+    @property
+    def curve_noise_shares(self) -> dict[str, float]:
+        """Rms of the model's own noise in units of the measurement's, curve by curve."""
+        sigmas = zip(self.fit.problem.curves, self.fit.whitening.curve_sigma, strict=True)
+        return {one.id: float(np.sqrt(np.mean((sigma / one.sigma) ** 2 - 1.0))) for one, sigma in sigmas}
+
+    @property
     def model_noise_share(self) -> float:
         """Rms of the model's own Monte Carlo noise in units of the measurement's, mean over rows."""
-        noise = self.fit.noise
-        return float(np.sqrt((noise**2).sum(axis=0).mean())) if len(noise) else 0.0
+        return self.fit.noise_share
 
     def arrays(self) -> dict[str, Real]:
         """Measured, model and residual (standard deviations) of every shot, by "ID/NAME"; NaN where unused."""
@@ -116,8 +143,9 @@ class Comparison:
             arrays[f"{shot}/measured_dn"] = np.where(image.used, image.signal_dn, np.nan)
             arrays[f"{shot}/model_dn"] = np.asarray(model)
             arrays[f"{shot}/z"] = np.where(image.used, z, np.nan)
-        for curve, z in zip(self.fit.problem.curves, self._curve_residuals(), strict=True):
-            arrays |= _curve_arrays(curve, z)
+        sigmas, residuals = self.fit.whitening.curve_sigma, self._curve_residuals()
+        for curve, sigma, z in zip(self.fit.problem.curves, sigmas, residuals, strict=True):
+            arrays |= _curve_arrays(curve, sigma, z)
         return arrays
 
     def residual_maps(self) -> dict[str, Real]:
@@ -135,7 +163,7 @@ class Comparison:
             if image.shot.id == shot:
                 return same | self._image(image, np.asarray(self.fit.signals_dn[number]))
         number = [curve.id for curve in self.fit.problem.curves].index(shot)
-        return same | self._curve(self.fit.problem.curves[number], self._curve_residuals()[number])
+        return same | self._curve(number, self._curve_residuals()[number])
 
     def _image(self, image: MeasuredImage, model_dn: Real) -> dict[str, Any]:
         shot, used = image.shot.id, image.used
@@ -156,14 +184,19 @@ class Comparison:
             "pixel_um": image.pixel_um, "centre_px": list(image.centre_px),
         }  # fmt: skip
 
-    def _curve(self, curve: CurveData, z: Real) -> dict[str, Any]:
-        difference = z * curve.sigma
+    def _curve(self, number: int, z: Real) -> dict[str, Any]:
+        curve = self.fit.problem.curves[number]
+        difference, source = z * self.fit.whitening.curve_sigma[number], curve.source
         level = 100.0 if curve.is_angle else float(np.mean(np.abs(curve.value)))  # angles: their own degrees
-        return {
+        of = {"sample": source.sample.id} if isinstance(source, MeasuredFarField) else {}
+        if isinstance(source, MeasuredSpectrum):
+            of = {"sample": source.film.id, "quantity": source.shot.quantity}
+        return of | {
             "kind": "spectrum" if not curve.free_scale else "far_field", "pixels": int(curve.value.size),
             "rms_error": float(np.sqrt(np.mean(difference**2))), "noise": float(np.sqrt(np.mean(curve.sigma**2))),
             "rms_error_percent": 100.0 * float(np.sqrt(np.mean(difference**2))) / level,
             "noise_percent": 100.0 * float(np.sqrt(np.mean(curve.sigma**2))) / level,
+            "model_noise_share": self.curve_noise_shares[curve.id],
             "unit": "deg" if curve.is_angle else "1",
         }  # fmt: skip
 
@@ -207,11 +240,43 @@ def compared(
         free=free,
         anchor_at=solver.anchor_at,
         curves=observed.curves,
-        predict_curves=CurvesOf(predictor),
+        predict_curves=CurvesOf(_Curves(predictor, solver)),
         others=observed.films,
         start=observed.films_at,
+        most_histories=solver.most_histories,
     )
-    return Comparison(observed, found, structure(found, seed=solver.seed, cache=cache), solver)
+    left = structure(found, seed=solver.seed, cache=cache)
+    return Comparison(observed, found.doubted(left.doubts), left, solver)
+
+
+@dataclass(frozen=True)
+class _Curves:
+    """Predicts curves as the solver says: with its seed, far fields with no fewer histories than its anchors."""
+
+    predictor: Predictor
+    solver: Solver
+
+    def spectra(self, model: Model, curves: Sequence[Curve], paths: Sequence[str] = ()) -> list[PredictedCurve]:
+        return self.predictor.spectra(model, curves, paths)
+
+    def far_fields(self, model: Model, views: Sequence[FarView], paths: Sequence[str] = ()) -> list[PredictedCurve]:
+        histories = max(HISTORIES, self.solver.histories or 0)
+        return self.predictor.far_fields(model, views, paths, histories, self.solver.seed)
+
+
+def differing(p_of: Mapping[str, float]) -> list[str]:
+    """The shots that differ from the model by more than noise, by their p-values."""
+    return [shot for shot, p in p_of.items() if p < SEEN]
+
+
+def sentence_of(p_of: Mapping[str, float], p: float, p_text: str, *, curves: bool) -> str:
+    """The verdict in words, from the p-values of the shots and that of all together."""
+    count, of, kind = len(differing(p_of)), len(p_of), "shots" if curves else "images"
+    if count:
+        return f"{count} of {of} {kind} differ from the model by more than noise"
+    if p < SEEN:
+        return f"together the {of} {kind} differ from the model by more than noise, each alone does not"
+    return f"none of the {of} {kind} differs from the model by more than noise (p = {p_text})"
 
 
 def region_document(region: Region) -> dict[str, Any]:
@@ -225,10 +290,13 @@ def region_document(region: Region) -> dict[str, Any]:
     }
 
 
-def _curve_arrays(curve: CurveData, z: Real) -> dict[str, Real]:
+def _curve_arrays(curve: CurveData, sigma: Real, z: Real) -> dict[str, Real]:
     """Columns of a curve, one entry a row."""
     table = getattr(curve.source, "table", None)
     axes = ("theta_deg", "phi_deg") if curve.free_scale else ("wavelength_nm", "aoi_deg")
     columns = {name: np.asarray(getattr(table, name), float) for name in axes}
-    columns |= {"measured": curve.value, "model": curve.value - z * curve.sigma, "sigma": curve.sigma, "z": z}
+    columns |= {"measured": curve.value, "model": curve.value - z * sigma, "sigma": sigma, "z": z}
+    polarised = getattr(table, "polarisation", ())
+    if len(set(polarised)) > 1:
+        columns["polarisation"] = np.array(polarised)
     return {f"{curve.id}/{name}": column for name, column in columns.items()}

@@ -106,7 +106,12 @@ def import_(
     if write_table is not None:
         write_sheet(write_table, files, common)
         told = {"table": str(write_table), "files": files}
-        typer.echo(json.dumps(told) if as_json else f"{write_table}: {len(files)} images; fill it in, then --table")
+        words = (
+            f"{write_table}: {len(files)} images; fill in sample, layout (single, or array with rows and columns),"
+            " the design, the exposure; what is the same in all rows may be an option instead"
+            f"\nnext: luxloop dataset import {folder} --into DATA --table {write_table}"
+        )
+        typer.echo(json.dumps(told) if as_json else words)
         return
     if into is None:
         raise InputError("--into", None, "the folder of the data set to write")

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from validation.contrasts.places import chip_centres_um, from_nearest_um, module_coordinates_um
+from validation.curve_profiles import curve_profiles
 from validation.fit import Fit
 from validation.measured import MeasuredImage
 
@@ -25,7 +26,7 @@ LEAST_PIXELS = 4
 
 
 def profiles(fit: Fit) -> list[Profile]:
-    """The profiles of all images, in the form of the comparison document."""
+    """The profiles of all images and curves, in the form of the comparison document."""
     found: list[Profile] = []
     residuals = fit.residual_images
     for number, image in enumerate(fit.problem.images):
@@ -33,7 +34,7 @@ def profiles(fit: Fit) -> list[Profile]:
         found += list(_in_place(image, model_dn, _axes(image, fit)))
         found.append(_frequency(image, residuals[number]))
     found += _pairs(fit.problem.images, residuals)
-    return found
+    return found + curve_profiles(fit)
 
 
 def _axes(image: MeasuredImage, fit: Fit) -> Iterator[tuple[str, str, Real, Real]]:

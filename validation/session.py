@@ -4,8 +4,8 @@ with session(settings, subject, "compare") as at:
     ... at.predictor.images(...) ...
     at.record(document, residual_maps)
 
-Every such command is a run of kind validation: its journal holds the model file, the manifest, the ids of all tasks
-that the workers were asked, the document that was told, and the map of residuals of every image.
+Every such command is a run of kind validation: its journal holds the model file, the manifest, the document that was
+told, the map of residuals of every image, and all that the workers were asked (`validation.asked`).
 """
 
 from __future__ import annotations
@@ -14,20 +14,21 @@ import os
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from luxloop import __version__
 from luxloop.campaign import MAX_ATTACHMENT, Fidelity, Plan
-from luxloop.client import Client, as_task
+from luxloop.client import Client
 from luxloop.design import Bounds, Design
 from luxloop.door import RunDoor
 from luxloop.errors import InputError
 from luxloop.model import Data, Model
 from luxloop.model_file import SHIPPED, find_model, read_model, to_toml
 from luxloop.settings import Settings, usable_cache
+from validation.asked import COMMAND, Asking
 from validation.dataset.folder import Dataset, read_dataset
 from validation.dataset.manifest_file import MANIFEST
 from validation.model_versions import Version, save
@@ -35,10 +36,11 @@ from validation.prediction import Predictor
 
 if TYPE_CHECKING:
     from luxloop.bus.frame import Array
-    from luxloop.client import Answer
 
 PATIENCE_S = 300.0
 """A worker that starts for the first time compiles its kernels."""
+MOST_TASKS = 10_000
+"""Whose ids stand with a step; the requests themselves have no such limit."""
 DEFAULT_MODEL = "model.toml"
 MODEL_START = "paper"
 """Of the shipped models the one that a model file begins with."""
@@ -90,26 +92,6 @@ def subject_of(file: str, dataset: Path | None) -> Subject:
 
 
 @dataclass
-class Asking:
-    """A client that remembers the ids of what it asked."""
-
-    client: Client
-    tasks: list[str] = field(default_factory=list)
-
-    def map(self, requests: Sequence[Any], *, limit_s: float) -> Iterator[tuple[int, Answer | Any]]:
-        """As `Client.map`."""
-        tasks = [as_task(request) for request in requests]
-        self.tasks += [task.id for task in tasks]
-        yield from self.client.map(tasks, limit_s=limit_s)
-
-    def run(self, request: Any, **options: Any) -> Answer:
-        """As `Client.run`."""
-        task = as_task(request)
-        self.tasks.append(task.id)
-        return self.client.run(task, **options)
-
-
-@dataclass
 class Session:
     """A run of kind validation that is open."""
 
@@ -122,15 +104,14 @@ class Session:
 
     def record(self, document: Mapping[str, Any], residual_maps: Mapping[str, Array]) -> None:
         """Put a step on record with its maps (row, column) of residuals in standard deviations, 0 where unused."""
-        step = {
-            "command": self.command,
-            "model_sha256": self.subject.model.sha256,
-            "dataset_sha256": self.subject.dataset.sha256,
+        of = {
+            "model_sha256": self.subject.model.sha256, "dataset_sha256": self.subject.dataset.sha256,
             "seed": str(self.seed),
-            "tasks": tuple(dict.fromkeys(self.asking.tasks)),
-            "document": dict(document),
-        }
-        self.door.note(validation=step)
+        }  # fmt: skip
+        for asked in self.asking.records():
+            self.door.note(validation={"command": COMMAND, "document": asked, **of})
+        told = {"command": self.command, "tasks": tuple(self.asking.tasks)[:MOST_TASKS], "document": dict(document)}
+        self.door.note(validation=told | of)
         for shot, image in residual_maps.items():
             rows = tuple(tuple(float(f"{value:.5g}") for value in row) for row in image)
             self.door.note(residual_maps={shot: rows})

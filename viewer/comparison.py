@@ -7,6 +7,7 @@ Every figure's caption says what its error is and which command made it. The sam
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -132,16 +133,17 @@ def _profiles(document: Document) -> Iterator[str]:
     """A picture per coordinate."""
     found: dict[str, list[Document]] = {}
     for one in document.get("profiles") or ():
-        found.setdefault(one["against"], []).append(one)
+        unit = one.get("value_unit")
+        found.setdefault(one["against"] + (f", {unit}" if unit else ""), []).append(one)
     if not found:
         return
-    groups = {shot["id"]: _setting(shot) for shot in document["shots"]}
+    groups = {shot["id"]: _setting(shot) if shot["kind"] == "image" else shot["id"] for shot in document["shots"]}
     pictures = {f"residual against {name}": curves.profile_picture(rows, groups) for name, rows in found.items()}
     caption = (
-        "Mean residual against one coordinate at a time; one colour per DBR setting. Bands: what noise gives in 95 %"
-        " of cases, its own band for each curve; dots: where a curve leaves its band. A curve that stays inside is"
-        " explained by noise; about one point in twenty leaves it by chance. Power against spatial frequency: 1 is"
-        " noise."
+        "Mean residual against one coordinate at a time; one colour per DBR setting, or per curve. Bands: what noise"
+        " gives in 95 % of cases, its own band for each curve; dots: where a curve leaves its band. A curve that"
+        " stays inside is explained by noise; about one point in twenty leaves it by chance. Power against spatial"
+        " frequency: 1 is noise."
     )
     yield html.row(pictures, "two", caption, document["command"])
 
@@ -153,16 +155,29 @@ def _spectra(document: Document, arrays: Arrays) -> Iterator[str]:
         if shot["kind"] == "image" or f"{name}/measured" not in arrays:
             continue
         pictures = {f"{name}, measured and model": curves.curve_picture(*_curve(shot, arrays))}
-        if f"{name}/fourier_um" in arrays:
-            pictures[f"{name}, residual against optical thickness"] = curves.fourier_picture(
-                arrays[f"{name}/fourier_um"], arrays[f"{name}/fourier_residual"]
-            )
+        lines = [one for one in document.get("fourier") or () if one["shot"] == name]
+        if lines:
+            pictures[f"{name}, residual against optical thickness"] = curves.fourier_picture(lines)
         caption = (
             f"Below: measured minus model in sigma of the measurement, as its file states it; the shaded range holds"
             f" 95 % of noise. χ² per point {number(shot.get('chi2_per_pixel'))}, p {probability(shot)}."
         )
+        if lines:
+            caption += " " + _fringes(lines)
         yield f"<h3>{html.escaped(name)}: {html.escaped(shot['sample'])}</h3>"
         yield html.row(pictures, "two", caption, document["command"])
+
+
+def _fringes(lines: Sequence[Document]) -> str:
+    """The strongest peak of a spectrum's residual against optical thickness, and whether noise gives as much."""
+    strongest = max(lines, key=lambda one: one["peak"]["power"])
+    peak = strongest["peak"]
+    chance = "less than 1e-300" if peak["log_chance"] < -690.0 else f"{math.exp(peak['log_chance']):.2g}"
+    return (
+        f"Fringes equally spaced in 1/wavelength are a peak at their layer's optical thickness: strongest at"
+        f" {peak['optical_thickness_um']:.3g} µm ({strongest['line']}), power {number(peak['power'])}; noise alone"
+        f" has as much somewhere on this line with a chance of {chance}."
+    )
 
 
 def _curve(shot: Document, arrays: Arrays) -> tuple[Any, ...]:

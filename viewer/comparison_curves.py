@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from viewer.look import BLUE, COLOURS, INK, MIDDLE, PIXELS_FROM, SHADE, TEXT, svg
+from viewer.look import COLOURS, INK, MIDDLE, PIXELS_FROM, SHADE, TEXT, svg
 
 Document = Mapping[str, Any]
 Values = NDArray[np.float64]
@@ -57,8 +57,7 @@ def curve_panes(figure: Figure, x: Values, measured: Values, model: Values, sigm
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(2.2, 1.0))
     z = (measured - model) / sigma
     names = list(dict.fromkeys(lines))
-    # no ink: what is drawn as pixels does not change on dark paper
-    shades = COLOURS[1:] if len(names) < len(COLOURS) else colormaps["viridis"](np.linspace(0.0, 0.9, len(names)))
+    shades = _shades(len(names))
     pixels = len(x) > PIXELS_FROM
     for name, colour in zip(names, shades, strict=False):
         here = np.array([line == name for line in lines])
@@ -78,17 +77,27 @@ def curve_panes(figure: Figure, x: Values, measured: Values, model: Values, sigm
         figure.legend(handles[::step], texts[::step], loc="outside lower left", ncols=4, handlelength=1.2)
 
 
-def fourier_picture(thickness_um: Values, residual: Values) -> bytes:
-    """The residual of a spectrum against optical thickness: a peak is a layer that the model lacks or has wrong."""
+def fourier_picture(lines: Sequence[Document]) -> bytes:
+    """The power of a spectrum's residual against optical thickness: a peak is a layer that is missing or wrong.
+
+    One colour per line, each with `optical_thickness_um`, `power`, the `line`'s name and the `band` of noise.
+    """
     with rc_context(TEXT):
         figure = Figure(figsize=(4.6, 3.8), layout="constrained")
         axes = figure.add_subplot()
-        axes.plot(thickness_um, np.abs(residual), color=BLUE, linewidth=1.0)
-        axes.set_xlabel("optical thickness (µm)")
-        axes.set_ylabel("|Fourier transform of the residual|")
-        axes.set_title("a peak: a layer missing or wrong")
+        for one, colour in zip(lines, _shades(len(lines)), strict=False):
+            axes.plot(one["optical_thickness_um"], one["power"], color=colour, linewidth=1.0, label=one["line"])
+        axes.axhspan(0.0, lines[0]["band"], color=SHADE, zorder=0)
+        axes.axhline(1.0, color=INK, linewidth=0.6)
+        axes.set_xlabel("optical thickness, group index x d x cos(angle inside) (µm)")
+        axes.set_ylabel("residual power, 1 = noise")
+        axes.set_title("a peak: fringes of a layer missing or wrong")
         axes.set_ylim(bottom=0.0)
         axes.grid(alpha=0.25)
+        if len(lines) > 1:
+            handles, texts = axes.get_legend_handles_labels()
+            step = -(-len(handles) // 8)
+            figure.legend(handles[::step], texts[::step], loc="outside lower left", ncols=4, handlelength=1.2)
         return svg(figure)
 
 
@@ -103,16 +112,27 @@ def sigma_pane(axes: Axes, z: Values) -> None:
     axes.set_ylabel("sigma")
 
 
+def _shades(count: int) -> Sequence[Any]:
+    """Colours of so many lines; no ink: what is drawn as pixels does not change on dark paper."""
+    return COLOURS[1:] if count < len(COLOURS) else list(colormaps["viridis"](np.linspace(0.0, 0.9, count)))
+
+
 def _profile(axes: Axes, one: Document, colour: str, dash: str) -> None:
     """A curve; where it leaves its band its points are filled, so that they are seen among many curves."""
     power = "power" in one
     x = np.asarray(one["x"], dtype=np.float64)
-    y = np.asarray(one["power"] if power else one["relative_percent"], dtype=np.float64)
-    band = np.broadcast_to(np.asarray(one["band"] if power else one["band_percent"], dtype=np.float64), x.shape)
+    y, band = _values(one)
     middle = 1.0 if power else 0.0
     low = np.maximum(middle - band, 0.05) if power else middle - band
     axes.fill_between(x, low, middle + band, color=colour, alpha=0.08, linewidth=0.0)
-    axes.plot(x, y, color=colour, linestyle=dash, linewidth=1.1, label=f"{one['shot']}")
+    axes.plot(
+        x,
+        y,
+        color=colour,
+        linestyle=dash,
+        linewidth=1.1,
+        label=", ".join(filter(None, (one["shot"], one.get("line")))),
+    )
     outside = np.abs(y - middle) > band
     axes.plot(x[outside], y[outside], "o", color=colour, markersize=2.8)
 
@@ -122,7 +142,8 @@ def _profile_axes(axes: Axes, profiles: Sequence[Document], power: bool) -> None
     axes.axhline(1.0 if power else 0.0, color=INK, linewidth=0.6)
     unit = first["unit"].replace("um", "µm")
     axes.set_xlabel(f"{first['against']} ({unit})" if unit else first["against"])
-    axes.set_ylabel("residual power, 1 = noise" if power else "measured - model (% of the model)")
+    unit = first.get("value_unit", "% of the model")
+    axes.set_ylabel("residual power, 1 = noise" if power else f"measured - model ({unit})")
     axes.grid(alpha=0.25)
     if power:
         axes.set_yscale("log")
@@ -130,10 +151,18 @@ def _profile_axes(axes: Axes, profiles: Sequence[Document], power: bool) -> None
     axes.set_ylim(*_well_known(profiles))
 
 
+def _values(one: Document) -> tuple[Values, Values]:
+    """A profile and its band, point by point."""
+    for name, band in (("power", "band"), ("difference", "band"), ("relative_percent", "band_percent")):
+        if name in one:
+            shape = np.shape(one["x"])
+            return np.asarray(one[name], np.float64), np.broadcast_to(np.asarray(one[band], np.float64), shape)
+    raise KeyError(one["against"])
+
+
 def _well_known(profiles: Sequence[Document]) -> tuple[float, float]:
     """Limits that points with a wide band, far from all light, do not set."""
-    y, band = (np.concatenate([np.broadcast_to(np.asarray(one[name], dtype=np.float64), np.shape(one["x"]))
-               for one in profiles]) for name in ("relative_percent", "band_percent"))  # fmt: skip
+    y, band = (np.concatenate(parts) for parts in zip(*map(_values, profiles), strict=True))
     known = np.isfinite(y) & np.isfinite(band)
     if not known.any():
         return -1.0, 1.0

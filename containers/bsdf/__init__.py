@@ -2,6 +2,7 @@
 
     Lambertian, GaussianLobe          lobes        spread light
     Mirror, Fresnel, SpecularTable    specular     light in one direction (delta parts)
+    Facets                            facets       a rough clear face
     Mixture, Coated                   mixture      several of them on one surface
     Tabulated, tabulate               tabulated    any of them as arrays, sampled exactly
 
@@ -9,6 +10,7 @@ Whatever the kind, each sample carries weight = albedo(theta_in), so nothing is 
 """
 
 from containers.bsdf.checks import check_energy, one_way_share, reciprocity_defect, symmetrised, transmission_defect
+from containers.bsdf.facets import Facets
 from containers.bsdf.lobes import GaussianLobe, Lambertian
 from containers.bsdf.mixture import Coated, Mixture
 from containers.bsdf.specular import Fresnel, Mirror, SpecularTable
@@ -19,6 +21,7 @@ __all__ = [
     "Bsdf",
     "Coated",
     "Deltas",
+    "Facets",
     "Fresnel",
     "GaussianLobe",
     "Lambertian",

@@ -24,5 +24,7 @@ class ChipAbsorption(SceneEffect):
 
     def scene(self, scene: Scene) -> Scene:
         """The chip absorbs more."""
+        if not self.absorption_per_cm:
+            return scene
         absorption = scene.chip.absorption_per_um + self.absorption_per_cm * PER_CM_PER_UM
         return with_chip(scene, lambda chip: replace(chip, absorption_per_um=absorption))

@@ -20,4 +20,6 @@ class DistanceError(SceneEffect):
 
     def scene(self, scene: Scene) -> Scene:
         """The receiver is moved."""
+        if not self.distance_um:
+            return scene
         return replace(scene, distance_um=scene.distance_um + self.distance_um)

@@ -28,10 +28,12 @@ TOP_IN, TOP_OUT, SIDE_IN, SIDE_OUT, BOTTOM, SUBSTRATE, RECEIVER, EDGE = range(8)
     ORIGIN_Y,
     SPREAD_SHARE,
     SPREAD_SIGMA,
+    LEAK_SHARE,
+    LEAK_LENGTH,
     INDEX,
-) = range(14)
+) = range(16)
 """Entries of `numbers`, the last one where the refractive indices begin: lengths in um, absorption in 1/um, tilt in
-1/um, spread as share and um."""
+1/um, spread and leak as share and um."""
 
 (
     PERIODIC,

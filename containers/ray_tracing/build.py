@@ -44,7 +44,7 @@ def scene_of(environment: Environment, design: Design, film: FilmTable | None, l
         width_um=design.width_um,
         thickness_um=design.thickness_um,
         index=line.index,
-        top=sides if film is None else Face(line.film_from("inside"), line.film_from("outside")),
+        top=sides if film is None else film_faces(environment, film),
         sides=sides,
         bottom=environment.chip_bottom,
         mirror=Mirror(environment.substrate.reflectance) if environment.chip_bottom == "mirror" else None,
@@ -93,6 +93,12 @@ def emission_of(environment: Environment) -> Emission:
         return Emission(layer_depth=depth)
     cosine = np.linspace(-1.0, 1.0, 401)
     return Emission(layer_depth=depth, cosine=cosine, intensity=1.0 + cosine**2)
+
+
+def film_faces(environment: Environment, film: FilmTable) -> Face:
+    """The top face of a chip with a film."""
+    line = _Line(environment, film)
+    return Face(line.film_from("inside"), line.film_from("outside"))
 
 
 class _Line:
@@ -148,9 +154,27 @@ def _at(film: FilmTable, wave: int) -> FilmTable:
 def _specular(film: FilmTable, n: float, side: Side) -> SpecularTable:
     """The powers of a film on a chip of index n, from one side: mean of its wavelengths, and of s and p.
 
-    They are computed at the very nodes that the kernels interpolate between.
+    They are computed at the very nodes that the kernels interpolate between. What rough faces scatter goes on as the
+    specular light does: lobes of faces that are even over more than about a micrometre are narrower than 4 deg. As
+    much of it goes on from one side as from the other, and none from total reflection.
     """
     theta = np.unique(node_angles(n, side == "inside"))
     powers = powers_at(film, side, theta)
-    R, T = (np.clip(np.tensordot(film.weight, of.mean(axis=1), axes=1), 0.0, 1.0) for of in (powers.R, powers.T))
+    onward = _scattered_onward(film, n, side, theta) if powers.S_T.any() else powers.S_T
+    both = (powers.R + powers.S_R + powers.S_T - onward, powers.T + onward)
+    R, T = (np.clip(np.tensordot(film.weight, of.mean(axis=1), axes=1), 0.0, 1.0) for of in both)
     return SpecularTable(theta, R, T, n / AIR if side == "inside" else AIR / n)
+
+
+def _scattered_onward(film: FilmTable, n: float, side: Side, theta: Real) -> Real:
+    """What a film scatters onward, the harmonic mean of light from both sides: the same of both, 0 at grazing."""
+    n_own, n_other = (n, AIR) if side == "inside" else (AIR, n)
+    other: Side = "outside" if side == "inside" else "inside"
+    sine = n_own / n_other * np.sin(theta)
+    through = sine <= 1.0 + 1e-12
+    found = np.zeros((film.weight.size, 2, theta.size))
+    across = np.arcsin(np.minimum(sine[through], 1.0))
+    one, back = powers_at(film, side, theta[through]).S_T, powers_at(film, other, across).S_T
+    total = one + back
+    found[..., through] = np.divide(2.0 * one * back, total, out=np.zeros_like(total), where=total > 0.0)
+    return found

@@ -253,7 +253,8 @@ def _walk_plain(scene: SceneArrays, wave: int, ray: Real, stream: Stream, ledger
     half, top, alpha = scene.numbers[of.HALF_WIDTH], scene.numbers[of.THICKNESS], scene.numbers[of.ABSORPTION]
     n, weight, topped = scene.numbers[of.INDEX + wave], ray[of.WEIGHT], False
     x, y, z, dx, dy, dz = ray[of.X], ray[of.Y], ray[of.Z], ray[of.DX], ray[of.DY], ray[of.DZ]
-    faint = FAINT * weight
+    faint, leaks, steep = FAINT * weight, 1.0 - 1.0 / (n * n), 0.0
+    lossy = scene.flags[of.TOP_LOSSY] == 1
     while True:
         to_x = ((half if dx > 0.0 else -half) - x) / dx if dx != 0.0 else inf
         to_y = ((half if dy > 0.0 else -half) - y) / dy if dy != 0.0 else inf
@@ -276,7 +277,7 @@ def _walk_plain(scene: SceneArrays, wave: int, ray: Real, stream: Stream, ledger
             continue
         # the face in surface space: the ray comes along -z of it
         if path == to_z:
-            axis, sign, z = 2, 1.0, top
+            axis, sign, z, steep = 2, 1.0, top, dz
             what, p, q, r = scatter(scene.surfaces, of.TOP_IN, wave, n, 1.0, dx, dy, -dz, stream, FACE)
         elif path == to_x:
             axis, sign = 0, 1.0 if dx > 0.0 else -1.0
@@ -302,3 +303,8 @@ def _walk_plain(scene: SceneArrays, wave: int, ray: Real, stream: Stream, ledger
             return OUT
         if axis == 2:
             topped = True
+            if lossy or steep * steep > leaks:
+                hits = int(trace[of.TOP_HITS])
+                if hits < of.TRACE - of.TOP_COSINES:
+                    trace[of.TOP_COSINES + hits] = steep
+                trace[of.TOP_HITS] += 1.0

@@ -73,8 +73,9 @@ def chip_scene(scene: Scene) -> Scene:
     layout = Cell(scene.chip.width_um * 4.0)
     receiver = Receiver(Lambertian(0.0))
     return replace(
-        scene, layout=layout, distance_um=scene.chip.thickness_um * 2.0, receiver=receiver, tilt_per_um=(0.0, 0.0)
-    )
+        scene, layout=layout, distance_um=scene.chip.thickness_um * 2.0, receiver=receiver, tilt_per_um=(0.0, 0.0),
+        leak_share=0.0, leak_um=0.0,
+    )  # fmt: skip
 
 
 def chip_key(scene: Scene) -> str:

@@ -17,7 +17,7 @@ from containers.compiled import borrowing_kernel, inlined_kernel
 from containers.ray_tracing import arrays as of
 from containers.ray_tracing.arrays import SceneArrays, Sinks
 from containers.ray_tracing.philox import EDGE as EDGE_KIND
-from containers.ray_tracing.philox import ENTRY, PLATE, ROULETTE, Stream, draw, follow_up
+from containers.ray_tracing.philox import ENTRY, LEAK, PLATE, ROULETTE, Stream, draw, follow_up
 from containers.ray_tracing.philox import RECEIVER as RECEIVER_KIND
 from containers.ray_tracing.philox import SUBSTRATE as SUBSTRATE_KIND
 from containers.ray_tracing.quick import cos_sin_turn, minus_log
@@ -55,6 +55,14 @@ def walk_module(
                 return LOST
             recorded = 1.0
         elif what == _SUBSTRATE:
+            if scene.numbers[of.LEAK_SHARE] > 0.0 and _leaks(scene, ray, stream):
+                recorded = 1.0
+                if _stays_beyond(scene, ray):
+                    if not scene.flags[of.WALLS]:
+                        _edge(scene, wave, ray, stream, sinks, _EDGE_X)
+                    sinks.ledger[of.EDGE_END] += weight
+                    return LOST
+                continue
             surfaces = scene.surfaces
             recorded = _record_fan(scene, ray, stream, sinks, fan)
             fate, dx, dy, dz = scatter(surfaces, of.SUBSTRATE, wave, 1.0, 1.0, dx, dy, dz, stream, SUBSTRATE_KIND)
@@ -76,6 +84,45 @@ def walk_module(
             return LOST
         else:
             recorded = 1.0
+
+
+@borrowing_kernel
+def _leaks(scene: SceneArrays, ray: Real, stream: Stream) -> bool:
+    """Whether a ray at the substrate goes on inside it; if so it is put where it comes out, by Lambert's law.
+
+    The place is displaced with the density exp(-r / L) / (2 pi L^2): r is L times a sum of two exponential numbers.
+    A chip that stands there is passed, and the substrate goes on beyond the edge of a finite module.
+    """
+    a, b, c, d = draw(stream, LEAK, 0)
+    if a >= scene.numbers[of.LEAK_SHARE]:
+        follow_up(stream, LEAK)
+        return False
+    across, along = cos_sin_turn(d)
+    shift = scene.numbers[of.LEAK_LENGTH] * minus_log(b * c)
+    a, b, _, _ = draw(stream, LEAK, 1)
+    follow_up(stream, LEAK)
+    ray[of.X], ray[of.Y], ray[of.Z] = ray[of.X] + shift * across, ray[of.Y] + shift * along, 0.0
+    across, along = cos_sin_turn(b)
+    sine = sqrt(a)
+    ray[of.DX], ray[of.DY], ray[of.DZ] = sine * across, sine * along, sqrt(1.0 - a)
+    return True
+
+
+@inlined_kernel
+def _stays_beyond(scene: SceneArrays, ray: Real) -> bool:
+    """Whether a ray that comes out of the substrate beyond the edge of a finite module cannot come back into it.
+
+    The substrate goes on beyond an open edge; the receiver does not. Behind a wall all light is lost.
+    """
+    numbers, x, y = scene.numbers, ray[of.X], ray[of.Y]
+    if abs(x) <= numbers[of.HALF_X] and abs(y) <= numbers[of.HALF_Y]:
+        return False
+    if scene.flags[of.WALLS]:
+        return True
+    dx, dy, distance = ray[of.DX], ray[of.DY], numbers[of.DISTANCE]
+    rise = ray[of.DZ] - distance * (numbers[of.TILT_X] * dx + numbers[of.TILT_Y] * dy)
+    path = distance * (1.0 + numbers[of.TILT_X] * x + numbers[of.TILT_Y] * y) / rise if rise > 0.0 else inf
+    return bool(abs(x + dx * path) > numbers[of.HALF_X] or abs(y + dy * path) > numbers[of.HALF_Y])
 
 
 @borrowing_kernel

@@ -8,9 +8,21 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from containers.bsdf import Bsdf, Coated, Fresnel, GaussianLobe, Lambertian, Mirror, Mixture, SpecularTable, Tabulated
+from containers.bsdf import (
+    Bsdf,
+    Coated,
+    Facets,
+    Fresnel,
+    GaussianLobe,
+    Lambertian,
+    Mirror,
+    Mixture,
+    SpecularTable,
+    Tabulated,
+)
 from containers.ray_tracing.arrays import FLAGS, INDEX, EmissionArrays, SceneArrays
 from containers.ray_tracing.surfaces import (
+    FACETS,
     KIND,
     LAMBERT,
     LAMBERT_THROUGH,
@@ -39,6 +51,7 @@ class Part:
     share: Callable[[Real], Real]
     """Of the incident power, against theta_in_rad."""
     sigma_rad: float = 0.0
+    """Of a lobe; of facets the standard deviation of their slope."""
     table: Tabulated | None = None
 
 
@@ -52,6 +65,8 @@ def parts_of(bsdf: Bsdf) -> list[Part]:
         ]
     if isinstance(bsdf, GaussianLobe):
         return [Part(LOBE, _constant(bsdf.reflectance), sigma_rad=bsdf.sigma_rad)]
+    if isinstance(bsdf, Facets):
+        return [Part(FACETS, _constant(1.0), sigma_rad=bsdf.deviation)]
     if isinstance(bsdf, Mixture):
         weighted = zip(bsdf.parts, bsdf.shares, strict=True)
         return [_scaled(part, _constant(s)) for inner, s in weighted for part in parts_of(inner)]
@@ -208,6 +223,7 @@ def _numbers(scene: Scene) -> Real:
     numbers = (
         layout.spacing_um, scene.distance_um, chip.width_um / 2.0, chip.thickness_um, chip.absorption_per_um,
         *scene.tilt_per_um, *halves, *origin, receiver.spread_share, receiver.spread_um,
+        scene.leak_share, scene.leak_um,
     )  # fmt: skip
     if len(numbers) != INDEX:
         raise ValueError(f"{len(numbers)} numbers of a scene, not {INDEX}")

@@ -19,9 +19,9 @@ from containers.compiled import inlined_kernel
 
 Stream = NDArray[np.uint64]
 
-EMISSION, FACE, BOTTOM, SUBSTRATE, RECEIVER, ENTRY, PLATE, EDGE, CHIP, ROULETTE = range(10)
+EMISSION, FACE, BOTTOM, SUBSTRATE, RECEIVER, ENTRY, PLATE, EDGE, CHIP, ROULETTE, LEAK = range(11)
 """Kinds of events that draw random numbers."""
-STREAM_WORDS = 2 + 10
+STREAM_WORDS = 2 + 11
 
 _LOW = np.uint64(0xFFFFFFFF)
 _HALF = np.uint64(32)

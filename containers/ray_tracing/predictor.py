@@ -24,6 +24,7 @@ from containers.ray_tracing.field import Field
 from containers.ray_tracing.light import unweighed
 from containers.ray_tracing.monte_carlo import BLOCK, blocks_of
 from containers.ray_tracing.outcome import Arrays, Document
+from containers.ray_tracing.several_tops import with_tops
 from containers.ray_tracing.simulation import layout_of, refuse_other_film, solver_of
 from containers.ray_tracing.tally import GROUPS
 from containers.ray_tracing.twin.columns import CAMERA_COLUMNS, COLUMNS, CameraColumn, Column
@@ -271,6 +272,8 @@ def _bend(arrays: Arrays, shots: Sequence[Shot]) -> None:
         for name in ("noise_per_mm2", "jacobian_per_mm2"):
             if name in arrays:
                 arrays[name][:, number] *= slope.astype(arrays[name].dtype)
+        if "twin_per_mm2" in arrays:  # stands for the image where derivatives by gain are taken
+            arrays["twin_per_mm2"][number] *= slope.astype(np.float32)
 
 
 def _size(shot: ShotRequest) -> str:
@@ -311,6 +314,7 @@ def _shots(wanted: Sequence[ShotRequest], where: str, means: Means) -> list[Shot
                 refuse_other_film(shot, film, effects)
                 built[key] = scene_of(shot.environment, shot.design, film, cell_of(shot.environment, shot.design))
             bare = replace(built[key], layout=_open(shot))
+            bare = with_tops(bare, shot.environment, None if shot.film is None else means.film(shot.film), effects)
             scene, whole = effects.for_twin.scene(bare), effects.scene(bare)
             open_array(scene)
             camera = effects.camera(shot.camera)

@@ -12,11 +12,12 @@ from containers.bsdf import Mirror
 from containers.ray_tracing.arrays import DX, DZ, X, Z
 from containers.ray_tracing.build import array_of, cell_of, scene_of
 from containers.ray_tracing.exit_source import ExitSource
-from containers.ray_tracing.exits import Landing
+from containers.ray_tracing.exits import Exits, Landing
 from containers.ray_tracing.kernel import WAVE_OF_EXIT, WEIGHT_OF_EXIT
 from containers.ray_tracing.monte_carlo import BLOCK, MonteCarlo, blocks_of
 from containers.ray_tracing.outcome import Arrays, Document, Solved, far_fields, outcome, region_of, solved
 from containers.ray_tracing.receiver_images import images_of, refuse_too_many
+from containers.ray_tracing.several_tops import scenes_of, solver_of_all, with_tops
 from containers.ray_tracing.stopping import POINTS, Solver, Target, run_to_count, run_to_error
 from containers.ray_tracing.tally import GROUPS, Box, Tally
 from containers.ray_tracing.twin.cell import cell_field
@@ -76,7 +77,8 @@ def simulate(
     if request.method == "twin" and effects.beyond_twin:
         names = ", ".join(effects.beyond_twin)
         raise InputError("method", "twin", "monte_carlo", f"the twin cannot represent {names}")
-    return simulate_scene(request, effects.scene(scene), film, source, progress, threads, effects)
+    scene = effects.scene(with_tops(scene, request.environment, film, effects))
+    return simulate_scene(request, scene, film, source, progress, threads, effects)
 
 
 def simulate_scene(
@@ -151,7 +153,7 @@ def refuse_other_film(request: Module, film: FilmTable | None, effects: Effects 
     pairs, environment, mend = (
         request.design.dbr_pairs,
         request.environment,
-        "ask the thin-film worker for the design's",
+        "ask the thin-film worker for the design's, with the same effects",
     )
     if film is None:
         if pairs:
@@ -175,19 +177,29 @@ def _twin(request: RayRequest, scene: Scene, source: ExitSource, progress: Progr
     if request.far_field:
         raise InputError("far_field", True, "false with method = twin", "use monte_carlo")
     blocks, seed = blocks_of(request.histories) // BLOCK, int(request.exit_seed)
-    exits = source.exits(scene, seed, blocks, report=lambda share: progress.report(share, "exits"))
+
+    def exits(one: Scene) -> Exits:
+        return source.exits(one, seed, blocks, report=lambda share: progress.report(share, "exits"))
+
     if isinstance(scene.layout, Cell):
-        return Solved(scene, None, cell_field(scene, exits, threads=threads), region_of(scene))
-    return Solved(scene, None, ModuleTwin(scene, exits, groups=GROUPS, threads=threads).field(), region_of(scene))
+        return Solved(scene, None, cell_field(scene, exits(scene), threads=threads), region_of(scene))
+    fields = [ModuleTwin(one, exits(one), groups=GROUPS, threads=threads).field() for one in scenes_of(scene)]
+    whole = sum(field.coefficients for field in fields[1:])
+    field = replace(fields[0], coefficients=fields[0].coefficients + whole) if fields[1:] else fields[0]
+    return Solved(scene, None, field, region_of(scene))
 
 
 def solver_of(request: RayRequest, scene: Scene, source: ExitSource, threads: int | None) -> Solver:
     """Monte Carlo as a request wants it: full histories, or stored exits."""
-    seed, directions = int(request.seed), DIRECTION_BINS if request.far_field else (0, 0)
-    if request.stored_exits:
-        batches = source.batches(scene, int(request.exit_seed))
-        return Landing(scene, batches, seed, threads=threads, direction_bins=directions)
-    return MonteCarlo(scene, seed, threads=threads, direction_bins=directions)
+    directions = DIRECTION_BINS if request.far_field else (0, 0)
+
+    def solver(one: Scene, seed: int) -> Solver:
+        if request.stored_exits:
+            batches = source.batches(one, int(request.exit_seed))
+            return Landing(one, batches, seed, threads=threads, direction_bins=directions)
+        return MonteCarlo(one, seed, threads=threads, direction_bins=directions)
+
+    return solver_of_all(scene, solver, int(request.seed))
 
 
 def _solve(request: RayRequest, scene: Scene, solver: Solver, progress: Progress) -> None:

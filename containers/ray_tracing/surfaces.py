@@ -1,9 +1,9 @@
 """What a ray does at a surface, as kernels: any `Bsdf` packed into shares of parts, drawn exactly.
 
-A surface is a list of parts (mirror, refracted, Lambert, lobe, table). Against the place of incidence it holds the
-cumulative shares of the parts; the last one is the albedo, the rest is absorbed. One uniform chooses the part, two or
-three more the direction. `packing` makes the arrays; the frame is that of `containers.bsdf.surface`: normal +z on the
-side the light comes from, but here the incoming direction points INTO the surface, as a ray does.
+A surface is a list of parts (mirror, refracted, Lambert, lobe, table, facets). Against the place of incidence it
+holds the cumulative shares of the parts; the last one is the albedo, the rest is absorbed. One uniform chooses the
+part, two or three more the direction. `packing` makes the arrays; the frame is that of `containers.bsdf.surface`:
+normal +z on the side the light comes from, but here the incoming direction points INTO the surface, as a ray does.
 
 Nodes lie where powers are smooth, for u = n_in sin(theta_in):
 
@@ -20,12 +20,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from containers.compiled import borrowing_kernel, inlined_kernel
+from containers.ray_tracing.facet_kernel import MOST_HITS, meet_facet, unmasked
 from containers.ray_tracing.philox import Stream, draw
 from containers.ray_tracing.quick import cos_sin_turn, cos_sinc, minus_log
 
 ABSORBED, REFLECTED, TRANSMITTED = range(3)
 """What became of a ray at a surface."""
-MIRROR, REFRACTED, LAMBERT, LAMBERT_THROUGH, LOBE, TABLE = range(6)
+MIRROR, REFRACTED, LAMBERT, LAMBERT_THROUGH, LOBE, TABLE, FACETS = range(7)
 """Kinds of parts."""
 PARTS, NODES, STRIDE, AT, BEYOND, FLAT, SPECULAR, SIGMA_AT, CELLS_AT, KIND = range(10)
 """Columns of `layout` (STRIDE: from one wavelength to the next, 0 for all the same); from KIND on follow the
@@ -118,6 +119,8 @@ def scatter(
         return REFLECTED, x, y, z
     if chosen == TABLE:
         return from_table(surfaces, surfaces.layout[s, CELLS_AT], x, y, z, (a - below) / (until - below), b, c, d)
+    if chosen == FACETS:
+        return from_facets(surfaces.tables[surfaces.layout[s, SIGMA_AT] + part], n_in, n_out, x, y, z, stream, kind)
     across, along = cos_sin_turn(c)
     sine = sqrt(b)
     if chosen == LAMBERT:
@@ -144,6 +147,29 @@ def lobe(
                 return along * x + p * (1.0 - x * x * a) + q * xy, along * y + p * xy + q * (1.0 - y * y * a), up
         u, v, _, _ = draw(stream, kind, attempt)
     return x, y, z
+
+
+@borrowing_kernel
+def from_facets(
+    deviation: float, n_in: float, n_out: float, x: float, y: float, z: float, stream: Stream, kind: int
+) -> tuple[int, float, float, float]:
+    """From facet to facet of a rough clear face until the ray leaves; `deviation` is that of slopes along an axis."""
+    through = False
+    for hit in range(1, MOST_HITS):
+        a, b, c, d = draw(stream, kind, hit)
+        if through:
+            crossed, x, y, z = meet_facet(n_out, n_in, deviation, x, y, z, a, b, c)
+        else:
+            crossed, x, y, z = meet_facet(n_in, n_out, deviation, x, y, z, a, b, c)
+        if crossed:
+            through, z = not through, -z
+        if z > 0.0 and d < unmasked(z, deviation):
+            break
+    length = 1.0 / sqrt(x * x + y * y + z * z)
+    x, y, z = x * length, y * length, abs(z) * length
+    if through:
+        return TRANSMITTED, x, y, -z
+    return REFLECTED, x, y, z
 
 
 @borrowing_kernel

@@ -13,7 +13,6 @@ its terms say the same: it errs by less than 2e-6 in R for films of 0.1 to 200 u
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 from itertools import zip_longest
 from typing import Literal, get_args
@@ -22,6 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from containers.checked import wavelengths_nm, within
+from containers.mixing import with_interlayer
 from containers.stack import StackRows, resolve
 from containers.thin_film.ellipsometry import ncs_of_light, psi_delta_deg
 from containers.thin_film.incoherent import Light, flipped, respond
@@ -29,11 +29,10 @@ from luxloop.errors import InputError
 from luxloop.stack import Stack
 
 Real = NDArray[np.float64]
-Complex = NDArray[np.complex128]
-Spot = tuple[tuple[float, Stack], ...]
-"""Shares of the measured spot, of sum 1, and what lies there."""
 RowsAt = Callable[[Real], StackRows]
 """The rows of a stack for an array of vacuum wavelengths in nm."""
+Spot = tuple[tuple[float, Stack | RowsAt], ...]
+"""Shares of the measured spot, of sum 1, and what lies there."""
 
 Quantity = Literal["R", "T", "psi", "delta"]
 Polarisation = Literal["s", "p", "u"]
@@ -103,60 +102,10 @@ def measure_ncs(
     return ncs_of_light(_light(stack, wavelength_nm, aoi_deg, bandwidth_nm, from_side, ellipsometry=True))
 
 
-def bruggeman(index_a: ArrayLike, index_b: ArrayLike, share_b: float = 0.5) -> Complex:
-    """Index n + ik of a fine mixture of two media, `share_b` of the volume being b.
-
-    The root with Im e >= 0 of (1 - f)(e_a - e)/(e_a + 2e) + f (e_b - e)/(e_b + 2e) = 0, e = n^2, f = share_b; the
-    other root, -e_a e_b / 2e, has Im e <= 0. InputError for a share outside 0 to 1, and for what is no index. For
-    grains far below the wavelength. Source: Bruggeman, Ann. Phys. 416, 636 (1935).
-    """
-    within("share_b", share_b, 0.0, 1.0, "the share of the volume that is b")
-    e_a, e_b = (_index(field, n) ** 2 for field, n in (("index_a", index_a), ("index_b", index_b)))
-    half = ((2.0 - 3.0 * share_b) * e_a + (3.0 * share_b - 1.0) * e_b) / 4.0
-    root = np.sqrt(half**2 + e_a * e_b / 2.0)
-    plus = (root.imag > 0.0) | ((root.imag == 0.0) & (root.real >= 0.0))
-    mixed: Complex = np.sqrt(half + np.where(plus, root, -root))
-    return mixed.real + 1j * np.maximum(mixed.imag, 0.0)  # rounding may leave k = -1e-16
-
-
 def interlayer(stack: Stack | RowsAt, face: int, thickness_nm: float, share_outer: float = 0.5) -> RowsAt:
-    """The stack with a mixed layer of both neighbours at one face, as rows: roughness as ellipsometry models it.
-
-    Parameters
-    ----------
-    stack : what it is added to; the result can be handed in again, for a second face further inside.
-    face : 0 is the face of the inside bulk, the number of layers that of the outermost layer.
-    thickness_nm : of the mixed layer, about 2 to 3 rms heights. What it is made of is taken from the two neighbours:
-        a face becomes rough, no material is added.
-    share_outer : volume share of the outer neighbour (`bruggeman`).
-
-    Raises
-    ------
-    InputError for a value out of range; for a face that the stack does not have, when the rows are asked for.
-    """
-    within("share_outer", share_outer, 0.0, 1.0, "the share of the volume that is the outer neighbour")
-    within("thickness_nm", thickness_nm, 0.0, 1e9, "the thickness of the mixed layer in nm")
+    """The stack with a mixed layer at one face (`mixing.with_interlayer`), to be handed in again for another face."""
     rows_at = rows_function(stack)
-
-    def with_interlayer(wavelength_nm: Real) -> StackRows:
-        rows = rows_at(wavelength_nm)
-        faces = range(len(rows.thickness_nm) + 1)
-        if face not in faces:
-            raise InputError("face", face, f"0 to {faces[-1]}, counted from the inside", "name a face of the stack")
-        mixed = bruggeman(rows.index[:, face], rows.index[:, face + 1], share_outer)
-        left = np.array([np.inf, *rows.thickness_nm, np.inf])  # the half spaces give without becoming thinner
-        left[face : face + 2] -= thickness_nm * np.array([1.0 - share_outer, share_outer])
-        if left.min() < 0.0:
-            raise InputError("thickness_nm", thickness_nm, "no more than its neighbours can give", "make it thinner")
-        return replace(
-            rows,
-            index=np.insert(rows.index, face + 1, mixed, axis=1),
-            thickness_nm=np.insert(left[1:-1], face, thickness_nm),
-            roughness_nm=np.insert(rows.roughness_nm, face + 1, 0.0),
-            coherent=np.insert(rows.coherent, face, True),
-        )
-
-    return with_interlayer
+    return lambda wavelength_nm: with_interlayer(rows_at(wavelength_nm), face, thickness_nm, share_outer)
 
 
 def _light(
@@ -248,13 +197,6 @@ def _angles_deg(value: ArrayLike) -> Real:
     if angles.ndim != 1 or not angles.size:
         raise InputError("aoi_deg", f"shape {angles.shape}", "one number or a list of numbers", mend)
     return angles
-
-
-def _index(field: str, value: ArrayLike) -> Complex:
-    index = np.asarray(value, complex)
-    if not (np.isfinite(index) & (index.real > 0.0) & (index.imag >= 0.0)).all():
-        raise InputError(field, value, "n > 0 and k >= 0, as n + ik", "give k with a plus sign")
-    return index
 
 
 def _one_of(field: str, value: object, kind: object) -> None:

@@ -13,10 +13,10 @@ from containers.acting import Effects
 from containers.catalogue import Catalogue, told
 from containers.effect import Reading
 from containers.materials import list_materials
-from containers.stack import dbr_of
+from containers.stack import dbr_of, resolve
 from containers.thin_film import warm_up
 from containers.thin_film.database import FilmDatabase, open_database
-from containers.thin_film.film_measurement import Spot, measure
+from containers.thin_film.film_measurement import RowsAt, Spot, measure
 from containers.thin_film.packing import pack, unpack
 from containers.thin_film.table import VERSION, FilmTable, film_table
 from luxloop.bus.frame import Array
@@ -62,10 +62,14 @@ class FilmComputation:
         spot = spot_of(request, effects)
         progress.report(0.0, str(spot[0][1])[:100])
         if isinstance(request, FilmMeasurementRequest):
-            return _measure(request, spot, effects)
-        if len(spot) != 1:
-            raise InputError("effects", f"{len(spot)} stacks on one spot", "one: a table is of one stack")
-        return self._table(request, spot[0][1])
+            result, arrays = _measure(request, spot, effects)
+        elif len(spot) != 1 or (request.stack is not None and effects.makes_media):
+            allowed = "effects from one stack to one stack: a table is of such a one"
+            raise InputError("effects", [one.name for one in effects.all], allowed, "ask for a measurement")
+        else:
+            result, arrays = self._table(request, spot[0][1])
+        idle = [] if request.dbr_pairs is None else effects.without_influence(request.dbr_pairs)
+        return (result | {"warnings": idle} if idle else result), arrays
 
     def _table(self, request: FilmTableRequest, stack: Stack) -> tuple[dict[str, Any], Mapping[str, Array]]:
         """By its key from the database; computed and kept where it is not there, or no longer what it was."""
@@ -109,7 +113,7 @@ def averages(table: FilmTable) -> dict[str, Array]:
     return {"u": table.u, "R_inside": inside.R, "R_outside": outside.R, "T": outside.T}
 
 
-def spot_of(request: FilmTableRequest | FilmMeasurementRequest, effects: Effects) -> Spot:
+def spot_of(request: FilmTableRequest | FilmMeasurementRequest, effects: Effects) -> tuple[tuple[float, Stack], ...]:
     """Shares of the spot that a request is about, and the stack at each of them, the effects applied."""
     if request.stack is not None:
         return effects.film(request.stack)
@@ -119,11 +123,14 @@ def spot_of(request: FilmTableRequest | FilmMeasurementRequest, effects: Effects
 
 
 def _measure(
-    request: FilmMeasurementRequest, spot: Spot, effects: Effects
+    request: FilmMeasurementRequest, spot: tuple[tuple[float, Stack], ...], effects: Effects
 ) -> tuple[dict[str, Any], Mapping[str, Array]]:
     """What the instrument reads, its own effects last."""
+    lies: Spot = spot
+    if request.stack is not None and effects.makes_media:
+        lies = tuple((share, _with_media(stack, effects)) for share, stack in spot)
     value = measure(
-        spot,
+        lies,
         request.quantity,
         request.wavelength_nm,
         request.aoi_deg,
@@ -136,3 +143,8 @@ def _measure(
     )
     value = effects.curve(value, reading)
     return {"stack": str(spot[0][1]), "quantity": request.quantity}, {"value": value}
+
+
+def _with_media(stack: Stack, effects: Effects) -> RowsAt:
+    """The rows of a stack with the media that effects make."""
+    return lambda wavelength_nm: effects.rows(resolve(stack, wavelength_nm))

@@ -89,11 +89,8 @@ def re_execute(
     Where no set runs at `settings.router` and `local` allows it, one is started whose caches are empty. Raises
     RemoteError where no worker can be had.
     """
-    with fresh_cache(settings) as used, Client(
-        used, local=local, patience_s=PATIENCE_S, ray_workers=usable_cores()
-    ) as client:  # fmt: skip
-        workers = client.status().workers
-        here = all(worker.describe.host == platform.node() for worker in workers)
+    with fresh_client(settings, local=local) as client:
+        workers, here = client.status().workers, at_home(client)
         asked = Asked(client, say, same_machine and here, new_seed)
         tables = {sha: asked.film(*film) for sha, film in record.films.items()}
         lanes = max(2, 2 * sum(worker.describe.kind == "ray" for worker in workers), 2 * usable_cores())
@@ -151,6 +148,23 @@ def _read(journal: RunJournal, steps: Mapping[str, tuple[int, Step]]) -> Record:
         if reply.kind == "film" and reply.result is not None and task in requests
     }
     return Record(sorted(found, key=lambda one: one.sequence), {sha: films[sha] for sha in films if sha in needed})
+
+
+@contextmanager
+def fresh_client(settings: Settings, *, local: bool) -> Iterator[Client]:
+    """Workers to ask, of a running set or of one of our own that finds nothing computed before.
+
+    Raises RemoteError where none can be had.
+    """
+    with fresh_cache(settings) as used, Client(
+        used, local=local, patience_s=PATIENCE_S, ray_workers=usable_cores()
+    ) as client:  # fmt: skip
+        yield client
+
+
+def at_home(client: Client) -> bool:
+    """Whether all workers run on this host."""
+    return all(worker.describe.host == platform.node() for worker in client.status().workers)
 
 
 @contextmanager

@@ -5,7 +5,8 @@
     3 re-decide    the designer, told the same, decides the same
     4 re-execute   the workers, asked the same, answer the same
 
-Levels 2 and 3 are done by the rooms' auditors, found by the entry points `luxloop.auditors`.
+Levels 2 and 3 are done by the rooms' auditors, found by the entry points `luxloop.auditors`; so is level 4 of runs
+that compare models with measurements, whose requests came from elsewhere than the environment-control agent.
 """
 
 from __future__ import annotations
@@ -120,12 +121,14 @@ def verified(folder: Path, level: int, look: Callable[[Compared], object] = lamb
     return Replay(folder, level, audit, Tally(look=look), other)
 
 
-def audit_rooms(replay: Replay) -> None:
-    """Levels 2 and 3: every auditor of that level looks through the journal."""
+def audit_rooms(replay: Replay, same_place: bool = True, **given: Any) -> None:
+    """Levels 2 and 3: every auditor of that level looks through the journal. At level 4 it is `given` the workers'
+    client too, and whether seeds are to be new; `same_place`: the workers are on this machine."""
     points = [one for one in entry_points(group="luxloop.auditors") if one.name.startswith(f"level{replay.level}.")]
     for point in sorted(points, key=lambda one: one.name):
         auditor: Auditor = point.load()
-        auditor(RunJournal(replay.folder), replay.tally.take, same_machine=not replay.other)
+        same = same_place and not replay.other
+        auditor(RunJournal(replay.folder), replay.tally.take, same_machine=same, **given)
 
 
 def facts_of(journal: RunJournal) -> dict[str, str]:

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from env_controller.audit.replay import Replay
 
 VERIFY, RE_EXECUTE, PLAY = 1, 4, 5
+VALIDATION = "validation"
 NAMES = {1: "verify", 2: "re-derive", 3: "re-decide", 4: "re-execute", 5: "play back"}
 COLOURS = {"identical": "green", "within tolerance": "green", "differs": "red", "not comparable": "yellow"}
 WIDTH = 100
@@ -106,11 +107,28 @@ def _replayed(folder: Path, level: int, settings: Settings, choice: Choice, loca
             return found
         from luxloop.journal.reader import RunJournal
 
+        if RunJournal(folder).metadata("run").get("kind") == VALIDATION:
+            _measurements_again(found, settings, choice, local, bar.begin)
+            return found
         record: Record = chosen(RunJournal(folder), choice)
         bar.begin(NAMES[level], len(record.questions))
         same = not found.other
         re_execute(record, settings, found.tally.take, same_machine=same, new_seed=choice.new_seed, local=local)
         return found
+
+
+def _measurements_again(
+    found: Replay, settings: Settings, choice: Choice, local: bool, begin: Callable[[str, int | None], None]
+) -> None:
+    """Level 4 of a run that compares a model with measurements: all its requests, by its room's auditor."""
+    from env_controller.audit.reexecute import at_home, fresh_client
+    from env_controller.audit.replay import audit_rooms
+
+    if choice.best or choice.share not in (None, 1.0):
+        raise InputError("--best" if choice.best else "--sample", True, "a campaign or a grid", "leave it out")
+    begin(NAMES[RE_EXECUTE], None)
+    with fresh_client(settings, local=local) as client:
+        audit_rooms(found, at_home(client), client=client, new_seed=choice.new_seed)
 
 
 def _choice(level: int, every: bool, sample: str | None, best: bool, new_seed: bool) -> Choice:

@@ -19,6 +19,7 @@ from containers.thin_film.table import FilmTable
 from containers.thin_film.worker import DATABASE, FilmComputation
 from luxloop.client import Answer
 from luxloop.computation import Progress
+from luxloop.effect import AppliedEffect
 from luxloop.errors import RemoteError
 from luxloop.failure import Code, Failure
 from luxloop.film import FilmTableRequest, Grid
@@ -171,6 +172,46 @@ def test_the_table_is_that_of_the_models_line(asked: Any, computation: FilmCompu
     assert held.weight @ held.wavelength_nm == pytest.approx(460.0)
     assert (held.spectrum.peak_nm, held.spectrum.fwhm_nm) == (460.0, 12.0)
     assert table["largest_difference"] < 1e-3
+
+
+def effect(name: str, **parameters: Any) -> AppliedEffect:
+    """An effect of a model."""
+    return AppliedEffect(name=name, parameters=parameters)
+
+
+def test_a_models_effects_act_on_its_dbr(asked: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A thickness error changes values and table, a camera's blur neither; a measured film has its own effects."""
+    models = {
+        "thick": (effect("dbr_thickness_error", error_ratio=0.03),),
+        "blurred": (effect("camera_psf", psf_um=20.0, profile="gaussian"),),
+        "offset": (effect("film_baseline_offset", offset_percent=1.0, offset_deg=0.0),),
+    }
+    paper = find_model("paper")
+    found = {name: paper.model_copy(update={"effects": those}) for name, those in models.items()}
+    monkeypatch.setattr(film_command, "find_model", lambda name: found.get(name, paper))
+    shown = {
+        name: asked(pairs="5.5", model=name, angles="0:20:10", tables=True)["films"][0]
+        for name in ("paper", "thick", "blurred")
+    }
+    assert shown["blurred"]["values"] == shown["paper"]["values"]
+    assert shown["blurred"]["table"]["sha256"] == shown["paper"]["table"]["sha256"]
+    assert shown["thick"]["table"]["sha256"] != shown["paper"]["table"]["sha256"]
+    assert abs(shown["thick"]["values"][0] - shown["paper"]["values"][0]) > 0.003
+    assert shown["thick"]["table"]["largest_difference"] < 1e-3
+    plain, offset = (asked(stack="Si | air", model=name, angles="0")["films"][0]["values"] for name in ("", "offset"))
+    assert offset[0] == pytest.approx(plain[0] + 0.01, abs=1e-12)
+
+
+def test_without_pairs_a_person_reads_that_an_effect_has_no_influence(
+    asked: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One sentence, whatever the number of films without pairs; none where there are pairs."""
+    model = find_model("paper").model_copy(update={"effects": (effect("dbr_roughness", roughness_nm=2.0),)})
+    monkeypatch.setattr(film_command, "find_model", lambda _: model)
+    document = asked(pairs="0,2.5", angles="0")
+    assert document["warnings"] == ["dbr_roughness has no influence: the chip has no DBR (0 pairs)"]
+    assert "WARNING: dbr_roughness has no influence" in as_text(document, None)
+    assert asked(pairs="2.5", angles="0")["warnings"] == []
 
 
 @pytest.mark.parametrize(("resolved", "says"), [(True, "errs by up to 8.4e-04"), (False, "WARNING: not resolved")])

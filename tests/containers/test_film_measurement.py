@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from containers.mixing import bruggeman
 from containers.stack import dbr_of, dbr_stack, resolve
 from containers.thin_film.ellipsometry import (
     delta_residual_deg,
@@ -16,7 +17,7 @@ from containers.thin_film.ellipsometry import (
     ncs_of_psi_delta,
     psi_delta_deg,
 )
-from containers.thin_film.film_measurement import bruggeman, interlayer, measure, measure_ncs
+from containers.thin_film.film_measurement import interlayer, measure, measure_ncs
 from containers.thin_film.lossless import stack_reflectance
 from luxloop.errors import InputError
 from luxloop.model import Environment

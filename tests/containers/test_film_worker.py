@@ -159,12 +159,12 @@ def test_a_corrupted_table_is_computed_again(computation: FilmComputation, tmp_p
 
 def test_an_effect_not_known_here_is_said(computation: FilmComputation) -> None:
     """A model with an effect is not computed without it."""
-    effect = AppliedEffect(name="dbr_roughness", parameters={"sigma_nm": 2.0})
+    effect = AppliedEffect(name="dbr_magic", parameters={"power": 2.0})
     request = table_request(5.5).model_copy(update={"effects": (effect,)})
     with pytest.raises(RemoteError) as caught:
         ask(computation, request)
     assert caught.value.failure.code == "unknown_effect"
-    assert "dbr_roughness" in caught.value.failure.message
+    assert "dbr_magic" in caught.value.failure.message
 
 
 @pytest.mark.parametrize(

@@ -103,12 +103,12 @@ def test_bytes_that_are_no_table_are_refused() -> None:
 
 def test_an_effect_not_known_here_is_said() -> None:
     """A model with an effect is not computed without it."""
-    effect = AppliedEffect(name="receiver_tilt", parameters={"tilt_deg": 2.0})
+    effect = AppliedEffect(name="receiver_dent", parameters={"depth_um": 2.0})
     asked = request(None).model_copy(update={"effects": (effect,)})
     with pytest.raises(RemoteError) as caught:
         ask(RayComputation(Shelf().fetch, ExitSource()), asked)
     assert caught.value.failure.code == "unknown_effect"
-    assert "the ray-tracing worker knows no effect receiver_tilt" in caught.value.failure.message
+    assert "the ray-tracing worker does not know effect receiver_dent" in caught.value.failure.message
 
 
 @pytest.mark.parametrize(
@@ -183,7 +183,8 @@ def test_a_prediction_over_zenoh(both: Client) -> None:
     result, arrays = computation.compute(json.loads(asked.model_dump_json()), Progress())
     assert json.loads(json.dumps(answer.result)) == json.loads(json.dumps(result))
     assert answer.arrays["noise_per_mm2"].nbytes > INLINE_BYTES
-    assert answer.arrays.keys() == arrays.keys() == {"images_per_mm2", "jacobian_per_mm2", "noise_per_mm2"}
+    names = {"images_per_mm2", "jacobian_per_mm2", "noise_per_mm2", "twin_per_mm2"}
+    assert answer.arrays.keys() == arrays.keys() == names
     for name, array in arrays.items():
         assert answer.arrays[name].dtype == array.dtype
         np.testing.assert_array_equal(answer.arrays[name], array)

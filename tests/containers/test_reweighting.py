@@ -49,6 +49,15 @@ CHANGES = {
 }
 
 
+def test_a_top_that_absorbs_from_total_reflection_is_another_chip(stored: tuple[Scene, Exits]) -> None:
+    """Hits beyond the critical angle are not noted where nothing is lost there, so no weight can hold their loss."""
+    own, exits = stored
+    lossy = SpecularTable(np.array([0.0, np.pi / 2]), np.array([0.4, 0.9]), np.zeros(2), N)
+    absorbing = replace(own, chip=replace(own.chip, top=Face((lossy,), own.chip.top.outside)))
+    with pytest.raises(InputError, match="not noted"):
+        reweighted(exits, own, absorbing)
+
+
 @pytest.fixture(scope="module")
 def stored() -> tuple[Scene, Exits]:
     """A chip with some absorption and a half-reflecting top, and its exits."""

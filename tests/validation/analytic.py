@@ -56,23 +56,33 @@ ARRAY = Sample(
 
 
 class Spots:
-    """Predicts images in closed form; `asked` counts the questions."""
+    """Predicts images in closed form; `asked` counts the questions, `anchors` holds those asked about.
 
-    def __init__(self, noise: dict[str, Real] | None = None, error: float = 0.0) -> None:
-        self.asked, self._noise, self._error = 0, noise or {}, error
+    `noise` (function, row, column) by sample is what an anchor tells of its noise, `drawn` (row, column) that noise.
+    """
+
+    def __init__(
+        self, noise: dict[str, Real] | None = None, error: float = 0.0, drawn: dict[str, Real] | None = None
+    ) -> None:
+        self.asked, self._noise, self._error, self._drawn = 0, noise or {}, error, drawn or {}
+        self.anchors: list[Anchored | None] = []
 
     def images(
         self, model: Model, views: Sequence[View], paths: Sequence[str] = (), anchor: Anchored | None = None
     ) -> list[Predicted]:
         """The images; without an anchor they are off by `error` times the halo's derivative, as a twin may be."""
         self.asked += 1
+        self.anchors.append(anchor)
         found = []
         for view in views:
             value, by = spots(model, view)
             columns = {name: by[name] for name in paths}
+            twin = value + self._error * by[HALO]
             if anchor is None or not anchor.histories:
-                value = value + self._error * by[HALO]
-            found.append(Predicted(value, columns, self._noise.get(view.sample.id) if anchor else None))
+                found.append(Predicted(twin, columns))
+                continue
+            noisy = value + self._drawn.get(view.sample.id, 0.0)
+            found.append(Predicted(noisy, columns, self._noise.get(view.sample.id), twin))
         return found
 
 

@@ -21,6 +21,7 @@ from tests.validation.analytic import (
     measured,
     spots,
 )
+from validation.contrasts import structure
 from validation.dataset.manifest import FilmLayer, FilmSample, SpectrumShot
 from validation.dataset.spectra import SpectrumTable
 from validation.fit import (
@@ -34,6 +35,7 @@ from validation.fit import (
     profile,
 )
 from validation.fit.problem import wrapped_deg
+from validation.fit.result import WANTED_NOISE, histories_for
 from validation.measured import MeasuredSpectrum
 from validation.prediction import Anchored, Pose, PredictedCurve, View
 
@@ -170,14 +172,103 @@ def test_an_anchor_takes_the_twins_error_away():
 
 
 def test_noise_of_the_monte_carlo_widens_the_errors():
-    """Groups of histories enter the covariance; they are noise, and no parameter is spent on them."""
-    view = View(SINGLE, 24, 24, 25.0, (11.5, 11.5))
-    noise = {"single": 0.2 * spots(TRUTH, view)[1][SIGMA][None]}
-    plain = fit(MODEL, _data(), Spots(), anchor_at=lambda model: Anchored(model, 1000))
-    noisy = fit(MODEL, _data(), Spots(noise), anchor_at=lambda model: Anchored(model, 1000))
-    assert noisy.error(SIGMA) > 1.5 * plain.error(SIGMA)
+    """What histories left is in the whitening, so in the covariance, and no parameter is spent on it."""
+    views = {sample.id: View(sample, 24, 24, 25.0, (11.5, 11.5)) for sample in (SINGLE, ARRAY)}
+    noise = {name: 0.2 * spots(TRUTH, view)[1][SIGMA][None] for name, view in views.items()}  # as if sigma varied
+    images = _data(poses=[Pose(), Pose()])
+    plain = fit(MODEL, images, Spots(), anchor_at=lambda model: Anchored(model, 1000))
+    noisy = fit(MODEL, images, Spots(noise), anchor_at=lambda model: Anchored(model, 1000))
+    assert noisy.error(SIGMA) == pytest.approx(np.hypot(plain.error(SIGMA), 0.2 / np.sqrt(2.0)), rel=0.1)
     assert noisy.names == plain.names
-    assert noisy.noise.shape == (1, 2 * 24 * 24)
+    assert plain.noise_share == 0.0 < noisy.noise_share
+
+
+def _waves(sample, share):
+    """Functions of noise (function, row, column) in an image of a sample: waves under the root of the light."""
+    light = spots(TRUTH, View(sample, 24, 24, 25.0, (11.5, 11.5)))[0]
+    x = np.cos(np.pi * np.outer(np.arange(9), np.arange(24) + 0.5) / 24.0)
+    return share * np.sqrt(light * light.mean()) * np.einsum("my,nx->mnyx", x, x).reshape(-1, 24, 24)
+
+
+@pytest.fixture(scope="module")
+def about_noise():
+    """Sixteen fits about anchors whose noise is 1.5 times the camera's; and by least squares against the same."""
+    noise = {one.id: _waves(one, 0.004) for one in (SINGLE, ARRAY)}
+    fits, naive = [], []
+    for seed in range(16):
+        random = np.random.default_rng(seed)
+        drawn = {name: np.tensordot(random.standard_normal(len(one)), one, axes=1) for name, one in noise.items()}
+        for found, told in ((fits, Spots(noise, 0.02, drawn)), (naive, _Untold(noise, 0.02, drawn))):
+            found.append(fit(MODEL, _data(100 + seed), told, anchor_at=lambda model: Anchored(model, 1000)))
+    return fits, naive
+
+
+class _Untold(Spots):
+    """Says nothing of its noise, nor what the twin sees: all that least squares can do is to take it for exact."""
+
+    def images(self, *asked):
+        """The images."""
+        return [replace(one, noise_per_mm2=None, twin_per_mm2=None) for one in super().images(*asked)]
+
+
+def _pulls(fits, name, truth):
+    return np.array([(one.value(name) - truth) / one.error(name) for one in fits])
+
+
+def test_a_fit_about_a_noisy_anchor_is_not_biased(about_noise):
+    """Columns without the noise: the gain comes out right on average, where least squares finds it too small."""
+    fits, naive = about_noise
+    assert fits[0].noise_share == pytest.approx(1.5, abs=0.5)
+    assert all(one.converged for one in fits)
+    for name, truth in (("array-a.gain", 300.0), (HALO, 0.7), (SIGMA, 6.0), (REACH, 0.5)):
+        assert abs(_pulls(fits, name, truth).mean()) < 3.0 / np.sqrt(len(fits)), name
+    assert _pulls(naive, "array-a.gain", 300.0).mean() < -3.0
+
+
+def test_errors_and_chi2_hold_about_a_noisy_anchor(about_noise):
+    """With the noise in the whitening chi2 is that of noise and intervals hold the truth; left out, neither does."""
+    fits, naive = about_noise
+    assert np.mean([one.chi2_per_row for one in fits]) == pytest.approx(1.0, abs=0.03)
+    assert np.mean([one.chi2_per_row for one in naive]) > 1.5
+    pulls = [_pulls(fits, name, truth) for name, truth in ((HALO, 0.7), (SIGMA, 6.0), (REACH, 0.5))]
+    assert np.mean(np.abs(pulls) < 1.96) > 0.85
+    assert 0.6 < np.std(pulls) < 1.4
+
+
+def test_the_last_anchor_takes_as_many_histories_as_its_noise_asks_for():
+    """Up to the bound; without one it stays as it is."""
+    noise = {one.id: _waves(one, 0.004) for one in (SINGLE, ARRAY)}
+    for most, histories in ((0, 1000), (5000, 5000), (10**9, None)):
+        predictor = Spots(noise)
+        found = fit(MODEL, _data(), predictor, anchor_at=lambda model: Anchored(model, 1000), most_histories=most)
+        wanted = histories or histories_for(WANTED_NOISE, 1000, found.noise_share)
+        asked = [anchor.histories for anchor in predictor.anchors if anchor is not None and anchor.histories]
+        assert found.problem.anchor.histories == asked[-1] == wanted
+    assert histories_for(0.5, 1000, 1.0) == 4000
+
+
+def test_a_profile_about_a_noisy_anchor_is_lowest_at_the_fit(about_noise):
+    """Chi2 itself is least elsewhere; summed up from its slope the valley ends where the fit does."""
+    for one in about_noise[0][:4]:
+        along = profile(one, HALO)
+        assert along.chi2_above.min() == 0.0
+        np.testing.assert_allclose(along.chi2_above[[2, 4]], 1.0, atol=0.25)
+
+
+def test_histories_are_rounded_up():
+    """To two digits: four times as many for half the noise."""
+    assert histories_for(0.3, 4_000_000, 1.7) == 130_000_000
+
+
+def test_an_anchor_that_is_left_far_behind_is_doubted():
+    """The twin's error is carried over from the anchor: where that is far and the error large, a test may not say."""
+    near = fit(MODEL, _data(), Spots(error=0.1), anchor_at=lambda model: Anchored(model, 1000))
+    assert structure(near, draws=300).doubts == ()
+    there = TRUTH.with_value(SIGMA, 2.0)
+    far = fit(MODEL, _data(), Spots(error=0.5), anchor_at=lambda _: Anchored(there, 1000))
+    (doubt,) = structure(far, draws=300).doubts
+    assert "far from its anchor" in doubt
+    assert not far.doubted([doubt]).trusted
 
 
 def test_a_discrepancy_column_is_fitted_within_its_prior():

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -61,6 +63,24 @@ def test_a_limit_holds_and_the_others_adapt():
     others = columns[[0, 2]]
     rest = residual - limit * columns[1]
     np.testing.assert_allclose(step.change[[0, 2]], np.linalg.lstsq(others.T, rest, rcond=1e-30)[0], rtol=1e-6)
+
+
+def test_covariance_with_noise_in_the_columns():
+    """Noisy columns solve their own equations: the scatter is that of `covariance_of`, not what they claim."""
+    truth, _, parameters = _problem()
+    flat = tuple(replace(one, prior_sd=np.inf) for one in parameters)
+    random, length = np.random.default_rng(3), np.linalg.norm(truth, axis=1)[:, None] / np.sqrt(ROWS)
+    columns = truth + length * random.standard_normal(truth.shape)
+    values, every = np.zeros(3), np.ones(3, bool)
+    moved = np.linalg.solve(columns @ truth.T, columns @ random.standard_normal((ROWS, 20_000)))
+    seen = np.cov(moved) / np.outer(length, length)
+    reduced = reduce(columns, truth[0], flat, values)
+    exact = reduced.covariance_of(columns, truth, 1.0, every) / np.outer(length, length)
+    np.testing.assert_allclose(exact, seen, atol=0.05 * np.diag(seen).max())
+    claimed = reduced.covariance(1.0, every) / np.outer(length, length)
+    assert np.all(np.diag(claimed) < 0.8 * np.diag(seen))
+    same = reduced.covariance_of(columns, columns, 1.0, every)
+    np.testing.assert_allclose(same, reduced.covariance(1.0, every), rtol=1e-6)
 
 
 def test_damping_shortens_a_step():

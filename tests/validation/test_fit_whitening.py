@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from tests.validation.analytic import SINGLE, blank
+from validation.fit.model_noise import noise_blocks
 from validation.fit.whitening import variance_scale, variance_scales, whitening
 
 
@@ -51,6 +52,28 @@ def test_whitened_noise_has_unit_covariance(prnu, dark):
     for row, column in np.ndindex(3, 3):
         w = matrix[:, :, row, column]
         np.testing.assert_allclose(w @ _covariance(images, signals, row, column) @ w.T, np.eye(3), atol=1e-10)
+
+
+@pytest.mark.parametrize("prnu", [0.0, 0.02])
+def test_noise_of_a_prediction_is_whitened_with_the_cameras(prnu):
+    """W (S + N'N) W' is the identity over all pixels of all images; images of one sample err together."""
+    images, random = _images(prnu), np.random.default_rng(2)
+    signals = [random.uniform(100.0, 3000.0, (3, 3)) for _ in images]
+    noise = [random.normal(0.0, 30.0, (4, 3, 3)), None, random.normal(0.0, 30.0, (4, 3, 3))]
+    camera = whitening(images, signals)
+    for samples in (("a", "a", "a"), ("a", "b", "c")):
+        white = replace(camera, noise=noise_blocks(camera, samples, noise))
+        covariance = np.zeros((27, 27))
+        for row, column in np.ndindex(3, 3):
+            place = 3 * row + column + 9 * np.arange(3)
+            covariance[np.ix_(place, place)] = _covariance(images, signals, row, column)
+        first, last = (one.reshape(4, 9).T for one in (noise[0], noise[2]))
+        wide = np.zeros((27, 8))
+        wide[:9, :4] = first
+        wide[18:, (slice(0, 4) if samples[2] == "a" else slice(4, 8))] = last
+        unit = np.eye(27).reshape(27, 3, 3, 3)
+        matrix = white.rows([unit[:, k] for k in range(3)]).T
+        np.testing.assert_allclose(matrix @ (covariance + wide @ wide.T) @ matrix.T, np.eye(27), atol=1e-9)
 
 
 def test_unused_pixels_weigh_nothing():

@@ -43,14 +43,16 @@ def test_compare_then_where_over_real_processes(settings: Settings, tmp_path: Pa
     assert document["sentence"] in looked.stdout
     assert "single-5.5" in (tmp_path / "where.html").read_text(encoding="utf-8")
     journal = RunJournal(Path(document["folder"]))
-    (step,) = [record.value for record in journal.records("/validation")]
+    *asked, step = [record.value for record in journal.records("/validation")]
+    assert {one.command for one in asked} == {"asked"}
     assert (step.command, step.dataset_sha256) == ("compare", model.data.sha256)
     assert len(list(journal.records("/map/residual"))) == 6
     verified = luxloop(settings, tmp_path, "audit", "verify", document["folder"])
     assert verified.returncode == 0, verified.stdout
-    replayed = luxloop(settings, tmp_path, "audit", "replay", document["folder"], "--level", "2")
-    assert replayed.returncode == 0, replayed.stdout
-    assert "within tolerance" in replayed.stdout.split("verdict")[-1]
+    for level, verdict in (("2", "within tolerance"), ("3", "identical"), ("4", "identical")):
+        replayed = luxloop(settings, tmp_path, "audit", "replay", document["folder"], "--level", level)
+        assert replayed.returncode == 0, replayed.stdout
+        assert verdict in replayed.stdout.split("verdict")[-1]
 
 
 def test_where_needs_data_and_compare_a_data_set(settings: Settings, tmp_path: Path) -> None:

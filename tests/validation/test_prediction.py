@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 from luxloop.errors import InputError, RemoteError
+from luxloop.failure import Failure
+from luxloop.messages import Pending
 from luxloop.model import Model
 from luxloop.model_file import find_model
 from tests.validation.workers import Workers
@@ -374,3 +376,28 @@ def test_a_far_field_is_the_modules(workers: Workers, model: Model) -> None:
     assert found.error is not None
     assert 0.0 < found.error.mean() < 0.2 * found.value.mean()
     assert (found.jacobian[LOSS] * weight).sum() < 0.0  # more loss, less light
+
+
+def test_derivatives_by_other_exits_differ_by_their_noise(workers: Workers, model: Model) -> None:
+    """Another exit seed walks other exits: the derivative is the same but for noise, no Monte Carlo is run again."""
+    predictor, at = Predictor(workers), Anchored(model, 0)
+    one, other = (predictor.images(model, [view()], (RECEIVER,), replace(at, exit_seed=seed))[0] for seed in (1, 2))
+    assert {request.exit_seed for request in workers.of_kind("ray")} == {"1", "2"}
+    by, again = (found.jacobian_per_mm2[RECEIVER] for found in (one, other))
+    assert 0.0 < np.linalg.norm(by - again) < 0.2 * np.linalg.norm(by)
+
+
+def test_a_long_answer_tells_how_far_it_is(model: Model) -> None:
+    """What a client hears while it waits goes to whom the predictor was told."""
+    heard: list[tuple[float, str]] = []
+
+    class Slow:
+        """Says once how far it is, then nothing more."""
+
+        def map(self, _requests: Any, **options: Any) -> Any:
+            options["on_pending"](Pending(task_id="0" * 64, state="running", progress_ratio=0.25, note="Monte Carlo"))
+            return [(0, RemoteError(Failure(code="crashed", message="the end", mend="none")))]
+
+    with pytest.raises(RemoteError):
+        Predictor(Slow()).telling(lambda *said: heard.append(said)).images(model, [view()])  # type: ignore[arg-type]
+    assert heard == [(0.25, "Monte Carlo")]

@@ -17,6 +17,7 @@ from typer.testing import CliRunner, Result
 from luxloop.errors import InputError
 from luxloop.model_file import find_model, read_model
 from tests.validation.workers import Workers
+from validation.dataset.checks import check
 from validation.dataset.folder import SUMS, read_dataset, read_sums, sha256_of_file
 from validation.dataset.simulate import (
     DECLARED,
@@ -30,7 +31,8 @@ from validation.dataset.simulate import (
     views_of,
     write_dataset,
 )
-from validation.measured import measured_images
+from validation.fit.problem import wrapped_deg
+from validation.measured import measured_far_fields, measured_images, measured_spectra
 
 PLAN = """
 name = "one chip and four"
@@ -133,6 +135,53 @@ def lit(workers: Workers, plan: Path) -> tuple[Plan, list[Any], list[Any]]:
     chosen = read_plan(plan)
     views = views_of(chosen, 1, 64, 64)
     return chosen, views, irradiances(workers, find_model("paper"), views, solver="twin")  # type: ignore[arg-type]
+
+
+def test_spectra_and_far_fields_have_the_noise_that_was_asked_for(run: Run, tmp_path: Path) -> None:
+    """They are a data set that checks; two draws differ by their noise, delta lies in [0, 360), the peak is 1."""
+    options = ("--no-images", "--spectra", "R,delta", "--angle", "50,70", "--wavelengths", "400:600:5",
+               "--sigma", 0.01, "--sigma-deg", 0.5, "--far-field", "--far-sigma", 0.05, "--histories", 40_000,
+               "--json")  # fmt: skip
+    told = json.loads(run(tmp_path / "one", *options, "--seed", 3).stdout)
+    assert told["shots"] == ["gan-on-sapphire-R", "gan-on-sapphire-delta", "one-far", "four-far"]
+    assert told["far_field_model_error"] > 0.0
+    assert run(tmp_path / "same", *options, "--seed", 3).exit_code == 0
+    assert run(tmp_path / "other", *options, "--seed", 4).exit_code == 0
+    assert bytes_of(tmp_path / "one") == bytes_of(tmp_path / "same")
+    one, other = (read_dataset(tmp_path / name) for name in ("one", "other"))
+    assert check(tmp_path / "one") == []
+    assert one.manifest.camera is None
+    for first, second in zip(measured_spectra(one), measured_spectra(other), strict=True):
+        apart = wrapped_deg(first.table.value - second.table.value)
+        assert apart.std() == pytest.approx(np.sqrt(2.0) * first.table.sigma[0], rel=0.2)
+        assert first.table.value.min() >= (0.0 if first.shot.quantity == "delta" else -0.05)
+        assert sorted(set(first.table.aoi_deg)) == [50.0, 70.0]
+    for curve in measured_far_fields(one):
+        assert curve.table.value.max() == pytest.approx(1.0, abs=0.2)
+        assert set(curve.table.sigma) == {0.05}
+
+
+@pytest.mark.parametrize(
+    ("options", "field"),
+    [
+        (("--no-images",), "--no-images"),
+        (("--spectra", "R,X"), "--spectra"),
+        (("--spectra", "psi"), "--angle"),
+        (("--spectra", "R", "--wavelengths", "400:"), "--wavelengths"),
+        (("--spectra", "R", "--wavelengths", "400:800:0"), "--wavelengths"),
+        (("--spectra", "R", "--angle", "90"), "--angle"),
+        (("--spectra", "R", "--sigma", "0"), "--sigma"),
+        (("--far-field", "--far-sigma", "nan"), "--far-sigma"),
+    ],
+)
+def test_curves_that_cannot_be_taken_are_refused_by_option(
+    run: Run, tmp_path: Path, options: Sequence[str], field: str
+) -> None:
+    """Before anything is asked of the workers or written."""
+    failed = run(tmp_path / "out", *options)
+    assert isinstance(failed.exception, InputError)
+    assert failed.exception.field == field
+    assert not (tmp_path / "out").exists()
 
 
 def test_all_images_are_exposed_to_the_same_peak(lit: tuple[Plan, list[Any], list[Any]]) -> None:

@@ -56,11 +56,9 @@ def spectrum(arrays: Arrays, name: str, angles: Iterable[float] = (0.0,)) -> Any
     wavelength_nm, aoi_deg = (one.ravel() for one in np.meshgrid(np.linspace(400.0, 800.0, 101), [*angles]))
     value, told = (0.2 + 0.1 * np.cos(n * 1e5 / wavelength_nm + aoi_deg) for n in (0.100, 0.1002))
     noise = 0.003 * np.random.default_rng(2).standard_normal(len(value))
-    thickness_um = np.linspace(0.0, 12.0, 200)
     arrays |= {
         f"{name}/wavelength_nm": wavelength_nm, f"{name}/aoi_deg": aoi_deg, f"{name}/measured": value + noise,
-        f"{name}/model": told, f"{name}/sigma": np.full(len(value), 0.003), f"{name}/fourier_um": thickness_um,
-        f"{name}/fourier_residual": np.exp(-((thickness_um - 5.0) ** 2)) + 0.05,
+        f"{name}/model": told, f"{name}/sigma": np.full(len(value), 0.003),
     }  # fmt: skip
     return _curve(name, "spectrum", "GaN on sapphire") | {"quantity": "R"}
 
@@ -85,6 +83,17 @@ def _curve(name: str, kind: str, sample: str) -> Any:
     }  # fmt: skip
 
 
+def fourier(name: str, line: str) -> Any:
+    """The power of a residual with the fringes of a layer of 5 um."""
+    thickness_um = np.linspace(0.1, 12.0, 200)
+    power = 40.0 * np.exp(-((thickness_um - 5.0) ** 2)) + 1.0
+    return {
+        "shot": name, "line": line, "unit": "um", "band": 3.0, "optical_thickness_um": [*thickness_um],
+        "power": [*power],
+        "peak": {"optical_thickness_um": 5.0, "power": 41.0, "log_chance": -36.0},
+    }  # fmt: skip
+
+
 def profiles(shots: Iterable[Any]) -> list[Any]:
     """A curve per image against distance, and one of all against azimuth and spatial frequency."""
     x = np.linspace(20.0, 1000.0, 25)
@@ -94,6 +103,11 @@ def profiles(shots: Iterable[Any]) -> list[Any]:
          "band_percent": [*(0.4 + x / 500.0)]} for shot in shots if shot["kind"] == "image"
     ]  # fmt: skip
     at = np.arange(0.0, 360.0, 15.0)
+    found += [
+        {"against": "wavelength", "unit": "nm", "shot": shot["id"], "line": line, "value_unit": "percentage points",
+         "x": [400.0, 500.0, 600.0], "difference": [0.1, -0.9, 0.2], "band": [0.3, 0.3, 0.3]}
+        for shot in shots if shot["kind"] == "spectrum" for line in ("0 deg", "30 deg")
+    ]  # fmt: skip
     found.append({"against": "azimuth", "unit": "deg", "shot": "all", "x": [*at],
                   "relative_percent": [*(0.2 * np.sin(at))], "band_percent": [0.3] * len(at)})  # fmt: skip
     found.append({"against": "spatial frequency", "unit": "1/mm", "shot": "all", "x": [0.5, 1.0, 2.0, 4.0, 8.0],
@@ -114,6 +128,8 @@ def comparison(shots: list[Any], **changes: Any) -> dict[str, Any]:
         "structure": {"p": 1e-5, "p_text": "< 1e-4", "z": 41.3, "draws": 10_000, "family": "radius",
                       "shot": (far or ["all"])[0], "region": region},
         "shots": shots, "profiles": profiles(shots),
+        "fourier": [fourier(shot["id"], f"{angle} deg") for shot in shots if shot["kind"] == "spectrum"
+                    for angle in (0, 30, 60)],
         "regions": [{"shot": name, "family": "radius", "region": region, "z": 41.3 - i}
                     for i, name in enumerate(far)],
     } | changes  # fmt: skip
@@ -143,7 +159,7 @@ def test_a_page_is_whole_and_loads_nothing(whole: tuple[dict[str, Any], Arrays, 
     """All sections, each led to; six pictures per image, two per spectrum, one per far field and coordinate."""
     parsed = loads_nothing(whole[3])
     assert parsed.attributes("id") == ["shots", "images", "regions", "curves", "spectra", "provenance"]
-    assert len(parsed.pictures) == 3 * 6 + 2 + 1 + 3
+    assert len(parsed.pictures) == 3 * 6 + 2 + 1 + 4
     for picture in parsed.pictures:
         picture_loads_nothing(picture)
 
@@ -153,7 +169,8 @@ def test_the_numbers_are_those_of_the_document(whole: tuple[dict[str, Any], Arra
     text = whole[2].text
     for told in ("4 of 5 shots differ from the model by more than noise.", "8.8 %", "noise of 2.7 %", "< 1e-4",
                  "41.3 sigma", "10,000 simulated repeats", "+1.21", "-0.43", "2,213", "a" * 64, "b" * 64, COMMAND,
-                 "luxloop dataset simulate truth.toml --out data --seed 5", "1,000,000 histories"):  # fmt: skip
+                 "luxloop dataset simulate truth.toml --out data --seed 5", "1,000,000 histories",
+                 "strongest at 5 µm (0 deg), power 41", "chance of 2.3e-16"):  # fmt: skip
         assert told in text
 
 

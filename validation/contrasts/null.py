@@ -1,7 +1,8 @@
 """What the contrasts do where the model is right: white noise sent through the same fit, many times.
 
-A drawn residual is y - D (D'y + P'u), with y white noise (times a drawn variance scale, plus the Monte Carlo's own
-noise) and u the errors of the priors; D and P are the data and the prior rows of the fit's basis. It is never made.
+A drawn residual is y - D (D'y + P'u), with y white noise (times a drawn variance scale; the Monte Carlo's own noise
+is white with the camera's, for both are in the whitening) and u the errors of the priors; D and P are the data and
+the prior rows of the fit's basis. It is never made.
 Only its sums over cells are needed, and D'y: the sums are independent normal numbers, D'y follows from them but for
 what varies inside of cells, which is normal with a small known covariance. So nothing is approximated, and a quarter
 of the numbers is drawn. The variance scale is estimated anew from each draw's chi2, as it was from the data's. Same
@@ -34,7 +35,6 @@ class Projection:
 
     data: Real  # (row, parameter), orthonormal together with `prior`
     prior: Real  # (prior, parameter)
-    noise: Real  # (column, row): the Monte Carlo's own noise, not fitted
 
     @property
     def freedom(self) -> float:
@@ -59,10 +59,6 @@ class Variances:
         pixels = layout.contrasts(layout.pixels[:, None])[:, 0]
         taken = layout.contrasts(layout.cells @ projection.data)
         variance = pixels - np.sum(taken**2, axis=1)
-        if len(projection.noise):
-            moved = layout.contrasts(layout.cells @ projection.noise.T)
-            moved = moved - taken @ (projection.data.T @ projection.noise.T)
-            variance = variance + np.sum(moved**2, axis=1)
         kept = variance > VANISHED * pixels
         return cls(variance, np.where(kept, 1.0 / np.where(kept, variance, 1.0), 0.0))
 
@@ -162,26 +158,22 @@ def _draw(layout: Layout, projection: Projection, weight: Real, draws: int, seed
 
 @dataclass(frozen=True, eq=False)
 class _Machine:
-    """The products that draws share, in single precision. The columns are those of the fit, then of the noise."""
+    """The products that draws share, in single precision."""
 
     layout: Layout
     weight: Single
     root_pixels: Single  # (cell, 1): square root of the pixels of each cell
-    over_cells: Single  # (column, cell): columns along the unit vectors of the cells
-    inside_cells: Single  # (column, direction): columns along other directions
+    over_cells: Single  # (parameter, cell): columns of the fit along the unit vectors of the cells
+    inside_cells: Single  # (parameter, direction): columns along other directions
     sums_data: Single  # (cell, parameter): C D
-    sums_noise: Single  # (cell, noise column): C U
     prior: Single  # (prior, parameter)
     data_data: Single  # D'D
-    data_noise: Single  # D'U
-    noise_noise: Single  # U'U
     rest: int  # directions that no cell and no column has
     freedom: float
 
     @classmethod
     def of(cls, layout: Layout, projection: Projection, weight: Real) -> _Machine:
-        data, noise = projection.data, projection.noise
-        columns = np.vstack([data.T, noise])
+        data, columns = projection.data, projection.data.T
         root = np.sqrt(layout.pixels)
         over_cells = (layout.cells @ columns.T).T / root
         within = columns - (layout.cells.T @ (over_cells / root).T).T
@@ -194,32 +186,26 @@ class _Machine:
             over_cells=_single(over_cells),
             inside_cells=_single(directions[:, some] * np.sqrt(size[some])),
             sums_data=_single(layout.cells @ data),
-            sums_noise=_single(layout.cells @ noise.T),
             prior=_single(projection.prior),
             data_data=_single(data.T @ data),
-            data_noise=_single(data.T @ noise.T),
-            noise_noise=_single(noise @ noise.T),
             rest=max(len(data) - len(root) - int(some.sum()), 0),
             freedom=projection.freedom,
         )
 
     def energies(self, random: np.random.Generator, count: int) -> Single:
         """(energy, draw) of `count` draws."""
-        cells, inside, noise, priors = (
+        cells, inside, priors = (
             random.standard_normal((size, count), np.float32)
-            for size in (len(self.root_pixels), self.inside_cells.shape[1], len(self.noise_noise), len(self.prior))
+            for size in (len(self.root_pixels), self.inside_cells.shape[1], len(self.prior))
         )
         scale = np.exp(0.5 * SCALE_PRIOR_SD * random.standard_normal(count, np.float32))
         rest = random.chisquare(self.rest, count) if self.rest else np.zeros(count)
-        along = (self.over_cells @ cells + self.inside_cells @ inside) * scale
-        data, noise_white = along[: self.prior.shape[1]], along[self.prior.shape[1] :]
+        data = (self.over_cells @ cells + self.inside_cells @ inside) * scale
         length2 = scale**2 * (_lengths2(cells) + _lengths2(inside) + rest)
-        length2 += (noise * (2.0 * noise_white + self.noise_noise @ noise)).sum(axis=0)
-        data = data + self.data_noise @ noise
         fitted = data + self.prior.T @ priors
         chi2 = length2 - (fitted * (2.0 * data - self.data_data @ fitted)).sum(axis=0)
         cells *= self.root_pixels * scale
-        cells += self.sums_noise @ noise - self.sums_data @ fitted
+        cells -= self.sums_data @ fitted
         energies = self.layout.energies(cells, self.weight) / variance_scales(chi2, self.freedom)
         return energies.astype(np.float32)
 
@@ -240,7 +226,7 @@ def _key(layout: Layout, projection: Projection, draws: int, seed: int) -> str:
         digest.update(matrix.indptr.tobytes() + matrix.indices.tobytes())
     for spectrum in layout.spectra:
         digest.update(repr(spectrum.shape).encode() + spectrum.cells.tobytes())
-    for array in (projection.data, projection.prior, projection.noise):
+    for array in (projection.data, projection.prior):
         digest.update(repr(array.shape).encode() + np.ascontiguousarray(array, np.float32).tobytes())
     return digest.hexdigest()
 

@@ -8,7 +8,7 @@ for the many regions there are; `chance` does, within its family.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -28,6 +28,7 @@ Real = NDArray[np.float64]
 
 DRAWS = 10_000
 REGIONS = 20
+MOST_MOVED = 0.3  # of a family's standard deviation under the null, by what the model's own error may be
 LARGEST_P = 0.9999  # for its normal equivalent: that of 1 is no number
 
 
@@ -93,6 +94,7 @@ class Structure:
     freedom: float
     draws: int
     seed: int
+    doubts: tuple[str, ...] = ()  # why the model's own error may look like structure, or hide some
 
 
 def structure(fit: Fit, draws: int = DRAWS, seed: int = 1, cache: Path | None = None) -> Structure:
@@ -100,7 +102,8 @@ def structure(fit: Fit, draws: int = DRAWS, seed: int = 1, cache: Path | None = 
     layout, projection = fit_layout(fit), fit_projection(fit)
     variances = Variances.of(layout, projection)
     drawn = null(layout, projection, variances.weight, draws, seed, cache)
-    return judged(fit.residual, layout, projection, variances, drawn)
+    doubts = _doubts(families_moved(layout, projection, drawn, variances.weight, fit.carried))
+    return replace(judged(fit.residual, layout, projection, variances, drawn), doubts=doubts)
 
 
 def fit_layout(fit: Fit) -> Layout:
@@ -115,7 +118,7 @@ def fit_layout(fit: Fit) -> Layout:
 
 def fit_projection(fit: Fit) -> Projection:
     """What the fit does to noise."""
-    return Projection(fit.basis.data, fit.basis.prior, fit.noise)
+    return Projection(fit.basis.data, fit.basis.prior)
 
 
 def judged(residual: Real, layout: Layout, projection: Projection, variances: Variances, drawn: Null) -> Structure:
@@ -158,6 +161,15 @@ def families_moved(layout: Layout, projection: Projection, drawn: Null, weight: 
     moved = layout.family_sums @ layout.energies((layout.cells @ left)[:, None], weight)[:, 0]
     spread = (layout.family_sums @ drawn.energies).std(axis=1)
     return {name: float(one / sd) for name, one, sd in zip(layout.families, moved, spread, strict=True) if sd > 0.0}
+
+
+def _doubts(moved: dict[str, float]) -> tuple[str, ...]:
+    """Why an error of the model that moves families so far is not to be trusted; nothing where it is small."""
+    worst = max(moved, key=lambda name: moved[name], default=None)
+    if worst is None or moved[worst] <= MOST_MOVED:
+        return ()
+    sentence = f"the twin's own error may move {worst} by {moved[worst]:.2g} of their spread, above {MOST_MOVED:g}"
+    return (f"{sentence}: the fit is far from its anchor; start nearer",)
 
 
 def _families(layout: Layout, energies: Real, drawn: Null) -> tuple[FamilyFound, ...]:

@@ -10,27 +10,33 @@ from __future__ import annotations
 
 import json
 import sys
-import tomllib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 import typer
-from pydantic import Field, field_validator
 
 from luxloop import __version__
-from luxloop.effect import refuse_twice
 from luxloop.errors import InputError
 from luxloop.model_file import find_model, to_toml
-from luxloop.words import Words, parse
 from validation.dataset.folder import write_sums
 from validation.dataset.images import Real, write_tiff
-from validation.dataset.manifest import CameraFacts, ImageShot, Manifest, Sample
+from validation.dataset.manifest import CameraFacts, ImageShot, Manifest, Shot
 from validation.dataset.manifest_file import MANIFEST
 from validation.dataset.manifest_file import to_toml as manifest_text
+from validation.dataset.simulated_curves import (
+    ExpectedCurve,
+    Instruments,
+    expected_far_fields,
+    expected_spectra,
+    numbers_of,
+    quantities_of,
+)
+from validation.dataset.simulation_plan import DECLARED as DECLARED  # studies take the camera from here
+from validation.dataset.simulation_plan import Plan, paper_plan, read_plan, with_camera
 from validation.noise import draw
 
 if TYPE_CHECKING:
@@ -40,10 +46,6 @@ if TYPE_CHECKING:
 
 Solver = Literal["monte_carlo", "twin"]
 
-DECLARED = CameraFacts(
-    pixel_um=8.0, bit_depth=12, gain_dn_per_e=0.38, read_noise_e=6.0, full_well_e=10_000.0, black_level_dn=64.0
-)
-"""The camera at which all targets of the project are stated; one frame of 128 x 128 pixels."""
 PIXELS, PEAK_SHARE, HISTORIES = 128, 0.85, 16_000_000
 LONGEST_EXPOSURE_MS = 8.0
 """Of the brightest image; the others are exposed so that their peak is as high."""
@@ -51,22 +53,9 @@ PATIENCE_S = 300.0
 """A worker that starts for the first time compiles its kernels."""
 POSES = 2
 """What a seed is drawn for, beside those of `validation.noise`."""
+MODEL_ERROR = 0.3
+"""Of a far field, in its sigma: a truth with a larger error is seen by whoever compares it with the same model."""
 TRUTH, TRUTH_MODEL = "truth.toml", "truth-model.toml"
-
-
-class Plan(Words):
-    """A plan file: which samples are put before which camera; one image of each."""
-
-    name: str = "simulated"
-    licence: str = ""
-    camera: CameraFacts = DECLARED
-    samples: tuple[Sample, ...] = Field(min_length=1, max_length=64)
-
-    @field_validator("samples")
-    @classmethod
-    def _ids_differ(cls, samples: tuple[Sample, ...]) -> tuple[Sample, ...]:
-        refuse_twice("samples", (sample.id for sample in samples))
-        return samples
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,27 +68,6 @@ class Expected:
     signal_dn: Real
     """(row, column), above black."""
     exposure_ms: float
-
-
-def paper_plan() -> Plan:
-    """The paper's six groups: a single chip and 5 x 5 of them, with 0, 2.5 and 5.5 pairs (its Fig. 5)."""
-    common = {"distance_um": 180.0, "width_um": 40.0, "spacing_um": 400.0, "thickness_um": 20.0}
-    layouts = {"single": {}, "array": {"rows": 5, "columns": 5}}
-    samples = [
-        parse(Sample, {"id": f"{layout}-{pairs:g}", "layout": layout, "dbr_pairs": pairs, **chips, **common})
-        for layout, chips in layouts.items()
-        for pairs in (0.0, 2.5, 5.5)
-    ]
-    return Plan(name="paper-like set, single chips and 5 x 5 arrays", licence="CC0-1.0", samples=tuple(samples))
-
-
-def read_plan(path: Path) -> Plan:
-    """The plan in a TOML file: name, licence, [camera], [[samples]] as in a data set; InputError for other things."""
-    try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise InputError("--plan", str(path), "a TOML file with [[samples]]", str(error)) from None
-    return parse(Plan, data, path.name)
 
 
 def views_of(
@@ -167,6 +135,30 @@ def expected_images(
     ]
 
 
+def exposed(
+    client: Asks, model: Model, views: Sequence[View], camera: CameraFacts, peak_share: float = PEAK_SHARE, **how: Any
+) -> list[Expected]:
+    """The signals of a model before a camera, exposed as `expected_images` says; `how` as `irradiances` takes it.
+
+    Where the model has effects, some may bend signals, so the light goes through the sensor at the exposures that the
+    same model without effects asks for.
+    """
+    from validation.prediction import Sensor
+
+    if not model.effects:
+        return expected_images(views, irradiances(client, model, views, **how), camera, peak_share)
+    plain = model.model_copy(update={"effects": (), "fit": {}})
+    like = expected_images(views, irradiances(client, plain, views, solver="twin"), camera, peak_share)
+    full_dn = camera.full_scale_dn - camera.black_level_dn
+    gains = [float(one.signal_dn.max() / one.irradiance_per_mm2.max()) for one in like]
+    seen = [replace(view, sensor=Sensor(gain, 0.0, full_dn)) for view, gain in zip(views, gains, strict=True)]
+    light = irradiances(client, model, seen, **how)
+    return [
+        Expected(one.view, image, gain * np.maximum(image, 0.0), one.exposure_ms)
+        for one, image, gain in zip(like, light, gains, strict=True)
+    ]
+
+
 def write_dataset(
     folder: Path,
     plan: Plan,
@@ -176,13 +168,14 @@ def write_dataset(
     frames: int = 1,
     pattern_seed: int | None = None,
     notes: str = "",
+    curves: Sequence[ExpectedCurve] = (),
 ) -> Manifest:
-    """A data set in an empty folder: images with their noise, manifest, hashes. The same seed gives the same bytes.
+    """A data set in an empty folder: shots with their noise, manifest, hashes. The same seed gives the same bytes.
 
     Raw numbers of a single frame are uint16, means of several float32. `pattern_seed` is that of the camera's fixed
     pattern, by default `seed`.
     """
-    shots = []
+    shots: list[Shot] = []
     for number, one in enumerate(expected):
         raw = draw(one.signal_dn, plan.camera, seed=seed, shot=number, frames=frames, pattern_seed=pattern_seed)
         file = f"images/{one.view.sample.id}.tif"
@@ -197,12 +190,17 @@ def write_dataset(
                 frames_averaged=frames,
             )
         )
+    for number, curve in enumerate(curves):
+        curve.write(folder, seed, number)
+        shots.append(curve.shot)
+    shown = {shot.film for shot in shots if shot.kind == "spectrum"}
     manifest = Manifest(
         name=plan.name,
         licence=plan.licence,
         notes=notes,
-        camera=plan.camera,
-        samples=plan.samples,
+        camera=plan.camera if expected else None,
+        samples=plan.samples if {shot.kind for shot in shots} - {"spectrum"} else (),
+        films=tuple(film for film in plan.films if film.id in shown),
         shots=tuple(shots),
     )
     (folder / MANIFEST).write_text(manifest_text(manifest), encoding="utf-8")
@@ -228,39 +226,74 @@ def simulate(
     ] = PEAK_SHARE,
     shift_px: Annotated[float, typer.Option(min=0.0, help="Images shifted at random, sd in pixels.")] = 0.0,
     rotation_deg: Annotated[float, typer.Option(min=0.0, help="Images turned at random, sd in degrees.")] = 0.0,
+    images: Annotated[bool, typer.Option("--images/--no-images", help="Whether there are images at all.")] = True,
+    spectra: Annotated[str, typer.Option(help="R, T, psi, delta of the plan's films; with commas.")] = "",
+    wavelengths: Annotated[str, typer.Option(help="Of spectra, nm: from:to:step, or with commas.")] = "400:700:1",
+    angle: Annotated[str, typer.Option(help="Angles of incidence of spectra, deg: the same.")] = "0",
+    sigma: Annotated[float, typer.Option(help="Standard deviation of R and T.")] = 0.002,
+    sigma_deg: Annotated[float, typer.Option(help="Standard deviation of psi and delta, deg.")] = 0.05,
+    far_field: Annotated[bool, typer.Option("--far-field", help="A goniometer curve of each sample.")] = False,
+    far_sigma: Annotated[float, typer.Option(help="Its standard deviation, of its peak.")] = 0.02,
     keep_truth: Annotated[
         bool, typer.Option("--keep-truth", help="Write truth.toml and truth-model.toml beside the data.")
     ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", help="Say nothing on stderr but errors.")] = False,
 ) -> None:
-    """Make a data set from a model: images of samples with a camera's noise, exposed alike. A seed repeats it."""
+    """Make a data set from a model: images with a camera's noise, spectra, far fields. A seed repeats it."""
     from luxloop.client import Client
     from luxloop.settings import load_settings, usable_cache
 
+    wanted = Instruments(
+        quantities_of(spectra), numbers_of("--wavelengths", wavelengths, 1.0, 1e6),
+        numbers_of("--angle", angle, 0.0, 89.9), sigma, sigma_deg, far_field, far_sigma,
+    )  # fmt: skip
+    if not (images or wanted.quantities or far_field):
+        raise InputError("--no-images", True, "--spectra or --far-field beside it", "something must be measured")
     truth, folder = find_model(model), _empty(out)
-    chosen = _with_camera(
+    chosen = with_camera(
         paper_plan() if plan is None else read_plan(plan), pixel_um=pixel_um, prnu_percent=prnu_percent
     )
-    views = views_of(chosen, seed, pixels, pixels, shift_px, rotation_deg)
+    views = views_of(chosen, seed, pixels, pixels, shift_px, rotation_deg) if images else []
     show = sys.stderr.isatty() and not quiet
     settings = load_settings()
     usable_cache(settings)
     with Client(settings, patience_s=PATIENCE_S) as client, _bar(len(views), show) as heard:
-        light = irradiances(client, truth, views, solver=solver, histories=histories, seed=seed, heard=heard)
-    expected = expected_images(views, light, chosen.camera, peak_share)
+        how_made: dict[str, Any] = {"solver": solver, "histories": histories, "seed": seed, "heard": heard}
+        expected = exposed(client, truth, views, chosen.camera, peak_share, **how_made) if images else []
+        curves = expected_spectra(client, truth, chosen.films, wanted)
+        curves += expected_far_fields(client, truth, chosen.samples, wanted, histories=histories, seed=seed)
     how = f"Monte Carlo, {histories:,} histories a sample" if solver == "monte_carlo" else "the deterministic twin"
     if keep_truth:
         _write_truth(folder, truth, expected, {"solver": solver, "histories": histories, "seed": seed})
+    by = f"Simulated by luxloop {__version__}" + (f": images by {how}." if images else ".")
     made = write_dataset(
-        folder, chosen, expected, seed=seed, frames=frames, notes=f"Simulated by luxloop {__version__}: {how}."
-    )
+        folder, chosen, expected, seed=seed, frames=frames, notes=by,
+        curves=curves,
+    )  # fmt: skip
     told = {
         "folder": str(folder), "shots": [shot.id for shot in made.shots], "solver": solver,
-        "histories": histories if solver == "monte_carlo" else None, "seed": seed, "truth_kept": keep_truth,
+        "histories": histories if solver == "monte_carlo" or far_field else None, "seed": seed,
+        "truth_kept": keep_truth, "far_field_model_error": max((one.model_error for one in curves), default=0.0),
     }  # fmt: skip
-    words = f"{folder}: {len(made.shots)} images of {pixels} x {pixels} pixels by {how}, seed {seed}"
-    typer.echo(json.dumps(told) if as_json else f"{words}\nnext: luxloop compare {folder}")
+    typer.echo(json.dumps(told) if as_json else "\n".join(_told(folder, made, pixels, how, seed, curves)))
+
+
+def _told(
+    folder: Path, made: Manifest, pixels: int, how: str, seed: int, curves: Sequence[ExpectedCurve]
+) -> Iterator[str]:
+    """What was made, in lines for people."""
+    parts: dict[str, Sequence[Shot]] = {
+        f"images of {pixels} x {pixels} pixels by {how}": made.images(),
+        "spectra": made.spectra(),
+        "far fields by Monte Carlo": made.far_fields(),
+    }
+    yield f"{folder}: {', '.join(f'{len(some)} {what}' for what, some in parts.items() if some)}, seed {seed}"
+    worst = max((one.model_error for one in curves), default=0.0)
+    if worst > MODEL_ERROR:
+        mend = "more --histories, or a larger --far-sigma"
+        yield f"the far fields' own Monte Carlo error is {worst:.2g} of their sigma: {mend}"
+    yield f"next: luxloop compare {folder}"
 
 
 def _empty(out: Path) -> Path:
@@ -272,12 +305,6 @@ def _empty(out: Path) -> Path:
     except OSError as error:
         raise InputError("OUT", str(out), "a folder that can be written", str(error.strerror)) from None
     return out
-
-
-def _with_camera(plan: Plan, **changes: float | None) -> Plan:
-    """The plan with what options change of its camera."""
-    given = {name: value for name, value in changes.items() if value is not None}
-    return plan.model_copy(update={"camera": parse(CameraFacts, plan.camera.model_dump() | given, "camera")})
 
 
 def _write_truth(folder: Path, model: Model, expected: Sequence[Expected], how: dict[str, Any]) -> None:

@@ -1,9 +1,9 @@
 """Fitting a model to what was measured: whitened least squares with priors, limits and per-shot nuisances."""
 
 from validation.fit.curves import CurvesOf, curves_of, film_parameters
-from validation.fit.image_fit import fit
-from validation.fit.least_squares import Parameter
-from validation.fit.parameters import CurveData, Discrepancy
+from validation.fit.image_fit import fit, refitted
+from validation.fit.least_squares import Parameter, prior_chi2
+from validation.fit.parameters import CurveData, Discrepancy, unknowns_of
 from validation.fit.profile import Profile, profile
 from validation.fit.result import Fit
 
@@ -17,5 +17,8 @@ __all__ = [
     "curves_of",
     "film_parameters",
     "fit",
+    "prior_chi2",
     "profile",
+    "refitted",
+    "unknowns_of",
 ]

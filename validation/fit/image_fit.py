@@ -1,9 +1,12 @@
 """The nonlinear fit: Levenberg and Marquardt over whitened columns, the variance renewed with the prediction.
 
 Within an iteration the whitening is held, so chi2 before and after a step mean the same; a new whitening is made from
-each accepted prediction (letting the variance answer to the step would favour predictions with large variances). It
-has converged where the linear model expects less than 0.1 of chi2 to be gained and no pose would move by 0.001 px;
-that last step is then taken on the linear model, whose own error is of the next order.
+each accepted prediction (letting the variance answer to the step would favour predictions with large variances).
+About an anchor the columns are the twin's (`problem`), so what is solved is columns' residual + priors = 0, and that
+is not where chi2 is least. A step is therefore good that lowers chi2, or what the columns still find in the residual:
+the square of its projection on them, which the linear model expects to gain. It has converged where that is less than
+0.1 and no pose would move by 0.001 px; that last step is taken on the linear model, whose own error is of the next
+order.
 """
 
 from __future__ import annotations
@@ -16,10 +19,10 @@ from numpy.typing import NDArray
 
 from luxloop.errors import InputError
 from luxloop.model import Model
-from validation.fit.least_squares import Parameter, Reduced, Step, prior_chi2, reduce
+from validation.fit.least_squares import Parameter, Reduced, Step, reduce
 from validation.fit.parameters import CurveData, Discrepancy, free_paths, unknowns_of
 from validation.fit.problem import CurvePredictor, Evaluation, ImagePredictor, Problem
-from validation.fit.result import Fit, conclude
+from validation.fit.result import WANTED_NOISE, Fit, conclude, histories_for
 from validation.fit.start import start_values
 from validation.fit.whitening import Whitening
 from validation.measured import MeasuredImage
@@ -49,13 +52,15 @@ def fit(
     others: Sequence[Parameter] = (),
     discrepancies: Sequence[Discrepancy] = (),
     start: Mapping[str, float] | None = None,
+    most_histories: int = 0,
 ) -> Fit:
     """The best fit of the model to images and curves.
 
     `free`: paths of the model that move; none: those that its [fit] tables free; (): nothing but gains, offsets,
     poses and scales, as `compare` does. `others`: parameters that only curves know (films), their values in `start`,
     where any other value to start from may stand too. `anchor_at`: gives the Monte Carlo anchor at a model; it is
-    asked after the twin has been fitted, and again where the fit has moved away from it.
+    asked after the twin has been fitted, and again where the fit has moved away from it. `most_histories`: the last
+    anchor is made once more with as many as bring its noise down to `WANTED_NOISE`, at most so many.
 
     Raises InputError where there is nothing to fit, or a path has no limits.
     """
@@ -76,7 +81,24 @@ def fit(
         at_anchor, found = found, _unclipped(anchored, found.values, found.iterations)
         if _moved(found, at_anchor, paths) < ANCHOR_MOVE:
             break
-    return found
+    return _quieter(found, most_histories)
+
+
+def refitted(problem: Problem, values: Real) -> Fit:
+    """The fit of a problem from given values, about the anchor that it has."""
+    return _unclipped(problem, values)
+
+
+def _quieter(found: Fit, most_histories: int) -> Fit:
+    """The fit about its own anchor with as many histories as its noise asks for, where those are more."""
+    anchor = found.problem.anchor
+    if anchor is None or not anchor.histories:
+        return found
+    wanted = min(histories_for(WANTED_NOISE, anchor.histories, found.noise_share), most_histories)
+    if wanted <= anchor.histories:
+        return found
+    moved = replace(anchor, model=found.model, poses=tuple(found.poses.values()), histories=wanted)
+    return _unclipped(replace(found.problem, anchor=moved), found.values, found.iterations)
 
 
 def _unclipped(problem: Problem, values: Real, done: int = 0) -> Fit:
@@ -98,9 +120,10 @@ def _descend(problem: Problem, values: Real, done: int = 0) -> Fit:
         white, reduced, columns = linearised(evaluation)
         last = reduced.step()
         if has_converged(problem, reduced, last):
-            return conclude(evaluation, white, reduced, columns, last, iteration, converged=True)
-        stepped, damping, gained = _step_down(evaluation, white, reduced, damping)
-        if stepped is None:  # no step lowers chi2: the prediction and its derivatives disagree
+            other = evaluation.other_columns(white)
+            return conclude(evaluation, white, reduced, columns, last, iteration, True, other)
+        stepped, damping, gained = _step_down(evaluation, white, reduced, columns, damping)
+        if stepped is None:  # no step is good: the prediction and its derivatives disagree
             break
         evaluation = stepped
         stalled = stalled + 1 if gained < GAP else 0
@@ -109,7 +132,8 @@ def _descend(problem: Problem, values: Real, done: int = 0) -> Fit:
     white, reduced, columns = linearised(evaluation)
     last = reduced.step()
     near = reduced.chi2 - last.chi2 < NOISY_GAP
-    return conclude(evaluation, white, reduced, columns, last, iteration + 1, converged=near)
+    other = evaluation.other_columns(white)
+    return conclude(evaluation, white, reduced, columns, last, iteration + 1, near, other)
 
 
 def linearised(evaluation: Evaluation, white: Whitening | None = None) -> tuple[Whitening, Reduced, Real]:
@@ -137,17 +161,17 @@ def pose_move_px(problem: Problem, change: Real) -> float:
 
 
 def _step_down(
-    evaluation: Evaluation, white: Whitening, reduced: Reduced, damping: float
+    evaluation: Evaluation, white: Whitening, reduced: Reduced, columns: Real, damping: float
 ) -> tuple[Evaluation | None, float, float]:
-    """The next evaluation whose chi2, under the same whitening, is lower; the next damping; what was gained."""
-    problem = evaluation.problem
+    """The next evaluation that is better under the same whitening and columns; the next damping; what was gained."""
+    problem, expected = evaluation.problem, reduced.gap
     while damping <= MAX_DAMPING:
         step = reduced.step(damping, short=True)
         trial = problem.evaluate(problem.unknowns.within(evaluation.values + step.change))
-        residual = trial.residual(white)
-        chi2 = float(residual @ residual) + prior_chi2(problem.unknowns.parameters, trial.values)
-        if chi2 <= reduced.chi2 + GAP:
-            return trial, 0.0 if damping < 1e-4 else damping / 10.0, reduced.chi2 - chi2
+        there = reduce(columns, trial.residual(white), problem.unknowns.parameters, trial.values)
+        gained = max(reduced.chi2 - there.chi2, expected - there.gap)
+        if gained >= -GAP:
+            return trial, 0.0 if damping < 1e-4 else damping / 10.0, gained
         damping = max(10.0 * damping, 1e-3)
     return None, damping, 0.0
 

@@ -68,16 +68,23 @@ class Reduced:
         """Parameters that neither the data nor a prior hold."""
         return np.asarray((np.abs(self.triangle).sum(axis=0) < 1e-12) & (self.prior_weight == 0.0))
 
-    def step(self, damping: float = 0.0, fixed: Mask | None = None, short: bool = False) -> Step:
+    def step(
+        self, damping: float = 0.0, fixed: Mask | None = None, short: bool = False, bounded: bool = True
+    ) -> Step:
         """The best change within the limits; `damping` as of Levenberg and Marquardt, `fixed` parameters stay."""
         free = ~self.blind if fixed is None else ~self.blind & ~fixed
         matrix, target = self._rows(free, damping)
-        lower, upper = self._room(free, short)
+        lower, upper = self._room(free, short) if bounded else np.full((2, int(free.sum())), [[-np.inf], [np.inf]])
         scale = self.length[free]
         scaled = _bounded(matrix, target, lower * scale, upper * scale)
         change = np.zeros(len(self.parameters))
         change[free] = np.clip(scaled / scale, lower, upper)
         return Step(change, self.chi2_after(change), self._at_limit(change) & (free if fixed is None else ~fixed))
+
+    @property
+    def gap(self) -> float:
+        """What the best step is expected to take off chi2: the square of what columns and priors still find."""
+        return max(0.0, self.chi2 - self.step().chi2)
 
     def chi2_after(self, change: Real) -> float:
         """What the linear model expects after a change, priors included."""
@@ -93,6 +100,22 @@ class Reduced:
         small = inverse @ inverse.T / np.outer(self.length[free], self.length[free])
         full = np.zeros((len(free), len(free)))
         full[np.ix_(free, free)] = small
+        full[self.blind, self.blind] = np.inf
+        return full
+
+    def covariance_of(self, columns: Real, other: Real, variance_scale: float, active: Mask) -> Real:
+        """Covariance of what solves columns' residual + priors = 0 where the columns have noise of their own.
+
+        `other`: the same columns (parameter, row) with noise that is independent: only their product with `columns`
+        is on average that of the true ones, and (a b')^-1 (a a') (b a')^-1 is how far noise moves the solution.
+        """
+        keep = active & ~self.blind
+        length = self.length[keep]
+        a, b = (some[keep] / length[:, None] / np.sqrt(variance_scale) for some in (columns, other))
+        prior = np.diag(self._prior_scaled[keep] ** 2)
+        inverse = np.linalg.pinv(a @ b.T + prior)
+        full = np.zeros((len(keep), len(keep)))
+        full[np.ix_(keep, keep)] = inverse @ (a @ a.T + prior) @ inverse.T / np.outer(length, length)
         full[self.blind, self.blind] = np.inf
         return full
 

@@ -1,6 +1,11 @@
 """What is fitted to what: one evaluation asks for all predictions at once and gives residuals and their columns.
 
 image_i = gain_i (E_i(theta, pose_i) + discrepancies) + offset_i          curve = scale x f(theta)
+
+E about an anchor has the noise of its Monte Carlo, the same in all evaluations. Were columns or weights taken from it
+too, their products with that noise would not vanish on average: gains come out low, and shapes bend to make up for
+it. So columns and weights come from the twin's image, which errs independently (they are instruments, in the words
+of statistics): J_twin' W (measured - image) = 0 is right on average, whatever noise E has.
 """
 
 from __future__ import annotations
@@ -13,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from luxloop.model import Model
+from validation.fit.model_noise import noise_blocks
 from validation.fit.parameters import (
     CurveData,
     Discrepancy,
@@ -23,9 +29,11 @@ from validation.fit.parameters import (
 )
 from validation.fit.whitening import Whitening, whitening
 from validation.measured import MeasuredImage
-from validation.prediction import POSE_COLUMNS, Anchored, Pose, Predicted, PredictedCurve, View
+from validation.prediction import POSE_COLUMNS, Anchored, Pose, Predicted, PredictedCurve, Sensor, View
 
 Real = NDArray[np.float64]
+
+FAINT = 1e-3  # of the brightest pixel: darker ones are taken for as bright where they divide
 
 
 class ImagePredictor(Protocol):
@@ -70,8 +78,17 @@ class Problem:
             curves = self.predict_curves(model, self.curves, unknowns.model_paths, others)
         return Evaluation(self, values, by_name, model, images, curves)
 
-    def _ask_images(self, model: Model, by_name: Mapping[str, float]) -> list[Predicted]:
+    def views(self, model: Model, by_name: Mapping[str, float]) -> list[View]:
+        """The cameras of all images at these values."""
         views = [view_of(image, pose_of(image, by_name)) for image in self.images]
+        if model.effects:
+            views = [
+                replace(view, sensor=sensor_of(one, by_name)) for view, one in zip(views, self.images, strict=True)
+            ]
+        return views
+
+    def _ask_images(self, model: Model, by_name: Mapping[str, float]) -> list[Predicted]:
+        views = self.views(model, by_name)
         paths = (*self.unknowns.model_paths, *POSE_COLUMNS)
         return self.predictor.images(model, views, paths, self.anchor) if views else []
 
@@ -87,27 +104,35 @@ class Evaluation:
     predicted: list[Predicted]
     predicted_curves: list[PredictedCurve]
 
-    def irradiance_per_mm2(self, index: int) -> Real:
-        """Of an image, its discrepancies included."""
-        total = self.predicted[index].irradiance_per_mm2
+    def irradiance_per_mm2(self, index: int, *, quiet: bool = False) -> Real:
+        """Of an image, its discrepancies included; `quiet`: the twin's, without the noise of an anchor."""
+        predicted = self.predicted[index]
+        twin = predicted.twin_per_mm2 if quiet else None
+        total = predicted.irradiance_per_mm2 if twin is None else twin
         for k, one in enumerate(self.problem.discrepancies):
             total = total + self.by_name[f"discrepancy.{k}"] * one.images_per_mm2[index]
         return total
 
-    def signals_dn(self, change: Real | None = None) -> list[Real]:
+    def signals_dn(self, change: Real | None = None, *, quiet: bool = False) -> list[Real]:
         """Expected signals above black of all images, after a small change of the values where one is given."""
         signals = []
         for index, image in enumerate(self.problem.images):
             offset_dn = self.by_name[f"{image.shot.id}.offset_dn"]
-            signals.append(gain_of(image, self.by_name) * self.irradiance_per_mm2(index) + offset_dn)
+            signals.append(gain_of(image, self.by_name) * self.irradiance_per_mm2(index, quiet=quiet) + offset_dn)
             if change is not None:
                 signals[-1] += np.tensordot(change, self._image_columns(index), axes=1)
         return signals
 
     def whitening(self) -> Whitening:
-        """The whitening that this prediction asks for."""
-        white = whitening(self.problem.images, self.signals_dn())
-        return replace(white, curve_sigma=tuple(self._curve_sigma(k) for k in range(len(self.predicted_curves))))
+        """The whitening that this prediction asks for, the noise of its Monte Carlo included."""
+        white = whitening(self.problem.images, self.signals_dn(quiet=True))
+        noise = [
+            None if one.noise_per_mm2 is None else gain_of(image, self.by_name) * one.noise_per_mm2
+            for image, one in zip(self.problem.images, self.predicted, strict=True)
+        ]
+        sigmas = tuple(self._curve_sigma(k) for k in range(len(self.predicted_curves)))
+        blocks = noise_blocks(white, [image.sample.id for image in self.problem.images], noise)
+        return replace(white, noise=blocks, curve_sigma=sigmas)
 
     def residual(self, white: Whitening) -> Real:
         """Whitened measured minus predicted: pixels of the images, then rows of the curves."""
@@ -121,7 +146,7 @@ class Evaluation:
         return np.concatenate(parts)
 
     def columns(self, white: Whitening) -> Real:
-        """Whitened derivatives of the prediction, (parameter, row)."""
+        """Whitened derivatives of the prediction, (parameter, row), free of an anchor's noise."""
         images = [self._image_columns(index) for index in range(len(self.predicted))]
         blocks = [white.rows(images)] if images else []
         blocks += [
@@ -129,25 +154,45 @@ class Evaluation:
         ]
         return np.concatenate(blocks, axis=1)
 
-    def noise_columns(self, white: Whitening) -> Real:
-        """Whitened columns (column, row) of the Monte Carlo's own noise: each times a unit normal number.
+    def other_columns(self, white: Whitening) -> Real | None:
+        """The columns once more, with noise of their own that is independent; None where no anchor has any noise.
 
-        Shots of one sample are seen by the same histories, so a group of histories is one column in all of them.
+        Gains by the anchored image, parameters of the model by the exits of another walk inside the chips.
         """
-        columns: dict[tuple[str, int], list[tuple[int, Real]]] = {}
-        for index, (image, predicted) in enumerate(zip(self.problem.images, self.predicted, strict=True)):
-            noise = predicted.noise_per_mm2
-            for group, one in enumerate(noise if noise is not None else ()):
-                place = columns.setdefault((image.sample.id, group), [])
-                place.append((index, gain_of(image, self.by_name) * one))
+        anchor = self.problem.anchor
+        if anchor is None or not anchor.histories:
+            return None
+        views = self.problem.views(self.model, self.by_name)
+        asked = replace(anchor, histories=0, exit_seed=anchor.exit_seed + 1)
+        paths = self.problem.unknowns.model_paths
+        others = self.problem.predictor.images(self.model, views, paths, asked) if paths else self.predicted
+        predicted = [
+            replace(one, twin_per_mm2=None, jacobian_per_mm2=one.jacobian_per_mm2 | other.jacobian_per_mm2)
+            for one, other in zip(self.predicted, others, strict=True)
+        ]
+        return replace(self, predicted=predicted).columns(white)
+
+    def carried(self, white: Whitening, values: Real) -> Real:
+        """Whitened rows of what an anchor leaves unknown: by how much the twin's error may differ from that there.
+
+        It is carried over as it is; an error that grows with the light would have changed by the light's own share.
+        """
+        images = [self._carried_dn(index, values) for index in range(len(self.predicted))]
         rows = sum(len(curve.value) for curve in self.problem.curves)
-        if not columns:
-            return np.zeros((0, white.count + rows))
-        stacks = [np.zeros((len(columns), *image.signal_dn.shape)) for image in self.problem.images]
-        for row, entries in enumerate(columns.values()):
-            for index, one in entries:
-                stacks[index][row] = one
-        return np.pad(white.rows(stacks), ((0, 0), (0, rows)))
+        return np.pad(white.rows(images) if images else np.zeros(0), (0, rows))
+
+    def _carried_dn(self, index: int, values: Real) -> Real:
+        """Of one image; paths that the anchor's model does not have (of an effect that was added) are left out."""
+        image, one, at = self.problem.images[index], self.predicted[index], self.problem.anchor
+        change = np.zeros(image.signal_dn.shape)
+        if at is None or one.twin_per_mm2 is None:
+            return change
+        here, there = self.problem.unknowns.named(values), at.model.leaves()
+        for path in self.problem.unknowns.model_paths:
+            change += (here[path] - float(there.get(path, here[path]))) * one.jacobian_per_mm2[path]
+        light = np.maximum(one.twin_per_mm2, FAINT * one.twin_per_mm2.max())
+        left = gain_of(image, self.by_name) * (one.irradiance_per_mm2 - one.twin_per_mm2)
+        return np.asarray(left * change / light)
 
     def _image_columns(self, index: int) -> Real:
         """Derivatives of one image in DN, (parameter, row, column)."""
@@ -162,7 +207,7 @@ class Evaluation:
         for k, one in enumerate(self.problem.discrepancies):
             columns[place[f"discrepancy.{k}"]] = gain * one.images_per_mm2[index]
         columns[place[f"{shot}.offset_dn"]] = 1.0
-        irradiance = self.irradiance_per_mm2(index)
+        irradiance = self.irradiance_per_mm2(index, quiet=True)
         if tied(image):
             lit = image.shot.exposure_ms * irradiance
             columns[place["gain"]] = lit * (1.0 + self.by_name[f"{shot}.gain_error"])
@@ -188,6 +233,12 @@ class Evaluation:
         """Error of the rows of a curve, that of a Monte Carlo prediction included."""
         curve, error = self.problem.curves[index], self.predicted_curves[index].error
         return curve.sigma if error is None else np.hypot(curve.sigma, self._scale(curve) * error)
+
+
+def sensor_of(image: MeasuredImage, values: Mapping[str, float]) -> Sensor:
+    """What makes its signal of light, at these values of gain and offset."""
+    full_scale_dn = image.camera.full_scale_dn - image.camera.black_level_dn
+    return Sensor(gain_of(image, values), values[f"{image.shot.id}.offset_dn"], full_scale_dn)
 
 
 def view_of(image: MeasuredImage, pose: Pose) -> View:

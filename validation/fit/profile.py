@@ -1,4 +1,9 @@
-"""The profile of a parameter: chi2 along it, all others refitted, so that a curved or one-sided valley is seen."""
+"""The profile of a parameter: chi2 along it, all others refitted, so that a curved or one-sided valley is seen.
+
+A fit solves columns' residual = 0; about a noisy anchor that is not where chi2 is least (`problem`). So chi2 is not
+read off along the parameter but summed up from its slope, -2 columns' residual with the others refitted: where the
+columns are the prediction's own derivatives the two are the same, and where they are not the valley ends at the fit.
+"""
 
 from __future__ import annotations
 
@@ -7,10 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.integrate import cumulative_trapezoid
 
 from luxloop.errors import InputError
 from validation.fit.image_fit import linearised
-from validation.fit.least_squares import prior_chi2
 from validation.fit.result import Fit
 
 Real = NDArray[np.float64]
@@ -38,20 +43,22 @@ def profile(fit: Fit, name: str, steps: Sequence[float] = STEPS) -> Profile:
     index, error = fit.names.index(name), fit.error(name)
     if not 0.0 < error < np.inf:
         raise InputError("parameter", name, "one that is held by the data and not at a limit", "widen its limits")
-    parameter = fit.problem.unknowns.parameters[index]
-    wanted = np.unique(np.clip(fit.value(name) + np.array(steps) * error, parameter.lower, parameter.upper))
-    base = fit.chi2 + prior_chi2(fit.problem.unknowns.parameters, fit.values)
-    chi2 = np.array([_refitted_chi2(fit, index, value) for value in wanted])
-    return Profile(name, wanted, (chi2 - base) / fit.variance_scale, ((wanted - fit.value(name)) / error) ** 2)
+    parameter, at = fit.problem.unknowns.parameters[index], fit.value(name)
+    wanted = np.unique(np.clip(at + np.append(steps, 0.0) * error, parameter.lower, parameter.upper))
+    slopes = [_slope(fit, index, value) for value in wanted]
+    chi2 = cumulative_trapezoid(slopes, wanted, initial=0.0)
+    chi2 -= chi2[np.argmin(np.abs(wanted - at))]
+    return Profile(name, wanted, chi2 / fit.variance_scale, ((wanted - at) / error) ** 2)
 
 
-def _refitted_chi2(fit: Fit, index: int, value: float) -> float:
-    """Chi2 with one parameter held at a value, under the whitening of the optimum."""
+def _slope(fit: Fit, index: int, value: float) -> float:
+    """How chi2 grows with a parameter at a value of it, the others refitted, under the whitening of the optimum."""
     along = fit.covariance[:, index] / fit.covariance[index, index]  # how the others follow
     moved = fit.values + np.where(np.isfinite(along), along, 0.0) * (value - fit.values[index])
     moved[index] = value
-    held = np.zeros(len(moved), dtype=bool)
-    held[index] = True
     evaluation = fit.problem.evaluate(fit.problem.unknowns.within(moved))
     _, reduced, _ = linearised(evaluation, fit.whitening)
-    return reduced.step(fixed=held).chi2
+    way = reduced.step(fixed=~fit.active, bounded=False).change[
+        index
+    ]  # to where the parameter would go if it were free
+    return -2.0 * float(way / reduced.covariance(1.0, fit.active)[index, index])

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 
 from luxloop.model import Model
 from validation.fit.least_squares import WORST_CONDITION, Basis, Reduced, Step, basis
+from validation.fit.model_noise import noise_share
 from validation.fit.parameters import gain_of, pose_of
 from validation.fit.problem import Evaluation, Problem
 from validation.fit.whitening import Whitening, variance_scale
@@ -18,7 +20,8 @@ from validation.prediction import Pose
 Real = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-MOST_MODEL_NOISE = 0.3  # rms, of the camera's: a tenth of its variance
+MOST_MODEL_NOISE = 2.0  # rms, of the camera's: up to there errors and chi2 were found right (decision 27)
+WANTED_NOISE = 0.3  # a tenth of the camera's variance: it then hardly adds to errors
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,8 +35,9 @@ class Fit:
     reduced: Reduced
     active: Mask  # parameters neither at a limit nor unseen
     columns: Real  # (parameter, row), whitened
-    noise: Real  # (column, row), whitened: the Monte Carlo's own noise, each times a unit normal number
+    noise_share: float  # of the Monte Carlo, rms over all pixels, in standard deviations of the camera's noise
     residual: Real  # (row,), whitened
+    carried: Real  # (row,), whitened: what the twin's error may have changed by, on the way from the anchor
     signals_dn: tuple[Real, ...]  # expected, by image
     covariance: Real
     chi2: float  # of the data
@@ -49,6 +53,10 @@ class Fit:
     def trusted(self) -> bool:
         """Whether its verdicts may be used."""
         return not self.distrust
+
+    def doubted(self, reasons: Sequence[str]) -> Fit:
+        """The same fit with further reasons not to trust it."""
+        return replace(self, distrust=(*self.distrust, *reasons))
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -113,13 +121,17 @@ def conclude(
     last: Step,
     iterations: int,
     converged: bool,
+    other: Real | None = None,
 ) -> Fit:
-    """The result where a fit stopped; where it converged, the last step is taken on the linear model."""
+    """The result where a fit stopped; where it converged, the last step is taken on the linear model.
+
+    `other`: columns with noise of their own that is independent (`Evaluation.other_columns`).
+    """
     change = last.change if converged else np.zeros_like(last.change)
     values = evaluation.problem.unknowns.within(evaluation.values + change)
     residual = evaluation.residual(white) - change @ columns
     active = ~last.at_limit & ~reduced.blind
-    taken, noise = basis(columns, reduced, active), evaluation.noise_columns(white)
+    taken, share = basis(columns, reduced, active), noise_share(white)
     chi2, freedom = float(residual @ residual), len(residual) - taken.taken
     scale = variance_scale(chi2, freedom)
     names = evaluation.problem.unknowns.names
@@ -133,10 +145,15 @@ def conclude(
         reduced=reduced,
         active=active,
         columns=columns,
-        noise=noise,
+        noise_share=share,
         residual=residual,
+        carried=evaluation.carried(white, values),
         signals_dn=tuple(evaluation.signals_dn(change)),
-        covariance=_covariance(reduced, columns, noise, scale, active),
+        covariance=(
+            reduced.covariance(scale, active)
+            if other is None
+            else reduced.covariance_of(columns, other, scale, active)
+        ),
         chi2=chi2,
         freedom=freedom,
         variance_scale=scale,
@@ -146,27 +163,23 @@ def conclude(
         at_limit=at_limit,
         distrust=(
             *_reasons(evaluation.problem, reduced, active, at_limit, gap, converged, freedom),
-            *_of_noise(evaluation.problem, noise),
+            *_of_noise(evaluation.problem, share),
         ),
     )
 
 
-def _covariance(reduced: Reduced, columns: Real, noise: Real, scale: float, active: Mask) -> Real:
-    """Of the parameters: from the camera's noise, plus what the Monte Carlo's own noise does to them."""
-    camera = reduced.covariance(scale, active)
-    if not len(noise):
-        return camera
-    finite = np.where(np.isfinite(camera), camera, 0.0)
-    moved = finite @ (columns @ noise.T) / scale
-    return np.asarray(camera + moved @ moved.T)
+def histories_for(share: float, histories: int, now: float) -> int:
+    """Histories that bring noise, `now` with so many, down to a share of the camera's; rounded up to two digits."""
+    needed = histories * (now / share) ** 2
+    digit = 10.0 ** np.floor(np.log10(needed) - 1.0) if needed > 0.0 else 1.0
+    return int(np.ceil(needed / digit) * digit)
 
 
-def _of_noise(problem: Problem, noise: Real) -> list[str]:
-    """Why a noisy prediction may not be trusted: it lowers the gains, and shapes bend to make up for it."""
-    share = float(np.sqrt((noise**2).sum(axis=0).mean())) if len(noise) else 0.0
+def _of_noise(problem: Problem, share: float) -> list[str]:
+    """Why a fit about a noisy anchor may not be trusted."""
     if share <= MOST_MODEL_NOISE or problem.anchor is None:
         return []
-    needed = int(float(f"{problem.anchor.histories * (share / MOST_MODEL_NOISE) ** 2:.1g}"))
+    needed = histories_for(WANTED_NOISE, problem.anchor.histories, share)
     return [
         f"the Monte Carlo's own noise is {share:.2f} of the camera's, above {MOST_MODEL_NOISE:g}: about"
         f" {needed:,} histories for each sample would do"

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from validation.fit.model_noise import NoiseBlock
 from validation.measured import MeasuredImage
 
 Real = NDArray[np.float64]
@@ -32,6 +33,7 @@ class Whitening:
     used: tuple[Mask, ...]
     weight: tuple[Real, ...]  # 1 / sd, 0 where unused
     grids: tuple[Grid, ...]
+    noise: tuple[NoiseBlock, ...] = ()  # of the prediction's own Monte Carlo
     curve_sigma: tuple[Real, ...] = ()  # of the rows of each curve
 
     @property
@@ -48,6 +50,13 @@ class Whitening:
 
     def rows(self, images: Sequence[Real]) -> Real:
         """Whitened rows (..., pixel) of images (..., row, column)."""
+        white = self.camera_rows(images)
+        for block in self.noise:
+            block.take_out(white)
+        return white
+
+    def camera_rows(self, images: Sequence[Real]) -> Real:
+        """The same, by the camera's noise alone."""
         return np.concatenate(
             [image[..., mask] for image, mask in zip(self.images(images), self.used, strict=True)], axis=-1
         )

@@ -9,7 +9,19 @@ from validation.prediction.words import (
     Pose,
     Predicted,
     PredictedCurve,
+    Sensor,
     View,
 )
 
-__all__ = ["POSE_COLUMNS", "Anchored", "Curve", "FarView", "Pose", "Predicted", "PredictedCurve", "Predictor", "View"]
+__all__ = [
+    "POSE_COLUMNS",
+    "Anchored",
+    "Curve",
+    "FarView",
+    "Pose",
+    "Predicted",
+    "PredictedCurve",
+    "Predictor",
+    "Sensor",
+    "View",
+]

@@ -38,8 +38,9 @@ COLUMNS: dict[str, tuple[str, float]] = {
 MOST_SHOTS, MOST_VALUES = 64, 1 << 24
 """Of one request, and of its answer: half of what the worker allows."""
 ANCHOR_FUNCTIONS = 200
-JACOBIAN_EXITS = 65_536
-"""Whose exits columns are taken with, half of an image's: they err by 2 to 4 % of a column instead of 1 to 3."""
+JACOBIAN_EXITS, FINE_EXITS = 65_536, 262_144
+"""Whose exits columns are taken with, on the way to an anchor and about it: there a fit rests on them, and with fewer
+their own noise adds to its errors (decision 27)."""
 DIFFERENCE_EXITS = 262_144
 """Of moved models: each has a walk of its own, and more noise."""
 
@@ -61,6 +62,17 @@ class Wanted:
     paths: tuple[str, ...]
     anchor: Anchored | None
     film_of: FilmOf
+
+    @property
+    def exit_seed(self) -> str:
+        """Of the walks inside chips."""
+        return str(1 if self.anchor is None else self.anchor.exit_seed)
+
+    @property
+    def column_exits(self) -> int:
+        """Histories whose exits columns are taken with."""
+        at = self.anchor
+        return FINE_EXITS if at is not None and (at.histories or at.exit_seed != 1) else JACOBIAN_EXITS
 
     @property
     def poses(self) -> tuple[str, ...]:
@@ -115,9 +127,10 @@ def simulation(model: Model, view: View, histories: int, seed: int, number: int,
     )
 
 
-def simulated(answer: Answer) -> Predicted:
-    """The image of such an answer: at a gain of 1 digital numbers are the irradiance."""
-    return Predicted(_real(answer.arrays["image_0"]), {})
+def simulated(answer: Answer, view: View) -> Predicted:
+    """The image of such an answer, its digital numbers over the gain: of 1 where the view has no sensor."""
+    gain_dn, offset_dn = (1.0, 0.0) if view.sensor is None else (view.sensor.gain_dn, view.sensor.offset_dn)
+    return Predicted((_real(answer.arrays["image_0"]) - offset_dn) / gain_dn, {})
 
 
 def module_of(model: Model, sample: Sample, film_of: FilmOf) -> dict[str, Any]:
@@ -136,7 +149,9 @@ def module_of(model: Model, sample: Sample, film_of: FilmOf) -> dict[str, Any]:
 
 def camera_of(view: View, pose: Pose) -> Camera:
     """The camera of a view."""
+    of_sensor = {} if view.sensor is None else vars(view.sensor)
     return Camera(
+        **of_sensor,
         rows=view.rows,
         columns=view.columns,
         pixel_um=view.pixel_um,
@@ -157,10 +172,10 @@ def _image_request(wanted: Wanted, views: Sequence[View], group: Sequence[int]) 
         return PredictionRequest(shots=shots, columns=wanted.poses)
     at = wanted.anchor
     poses = at.poses or [Pose()] * len(views)
-    seen = [replace(views[number], pose=poses[number]) for number in group]
+    seen = [replace(views[number], pose=poses[number], sensor=None) for number in group]
     anchored = tuple(_shot(at.model, view, wanted.film_of) for view in seen)
     anchor = AnchorRequest(shots=anchored, histories=at.histories, seed=str(at.seed))
-    return PredictionRequest(shots=shots, columns=wanted.poses, anchor=anchor)
+    return PredictionRequest(shots=shots, columns=wanted.poses, anchor=anchor, exit_seed=wanted.exit_seed)
 
 
 def _column_request(wanted: Wanted, views: Sequence[View], group: Sequence[int]) -> PredictionRequest:
@@ -171,13 +186,15 @@ def _column_request(wanted: Wanted, views: Sequence[View], group: Sequence[int])
     if wanted.anchor is not None:
         lent = tuple(_shot(wanted.anchor.model, views[number], wanted.film_of) for number in group)
         anchor = AnchorRequest(shots=lent, histories=0)
-    return PredictionRequest(shots=shots, columns=columns, anchor=anchor, exit_histories=JACOBIAN_EXITS)
+    return PredictionRequest(
+        shots=shots, columns=columns, anchor=anchor, exit_histories=wanted.column_exits, exit_seed=wanted.exit_seed
+    )
 
 
 def _difference_request(wanted: Wanted, views: Sequence[View], moves: Sequence[_Move]) -> PredictionRequest:
     """The images of moved models."""
     shots = tuple(_shot(move.model, _about(views[move.view]), wanted.film_of) for move in moves)
-    return PredictionRequest(shots=shots, exit_histories=DIFFERENCE_EXITS)
+    return PredictionRequest(shots=shots, exit_histories=DIFFERENCE_EXITS, exit_seed=wanted.exit_seed)
 
 
 def _about(view: View) -> View:
@@ -191,7 +208,8 @@ def _images(wanted: Wanted, answer: Answer) -> Iterator[Predicted]:
     arrays, columns = answer.arrays, _columns(wanted.poses, answer)
     for shot, image in enumerate(arrays["images_per_mm2"]):
         noise = _real(arrays["noise_per_mm2"][:, shot]) if len(arrays.get("noise_per_mm2", ())) else None
-        yield Predicted(_real(image), next(columns), noise)
+        twin = _real(arrays["twin_per_mm2"][shot]) if "twin_per_mm2" in arrays else None
+        yield Predicted(_real(image), next(columns), noise, twin)
 
 
 def _columns(paths: Sequence[str], answer: Answer) -> Iterator[dict[str, Real]]:
@@ -204,9 +222,13 @@ def _columns(paths: Sequence[str], answer: Answer) -> Iterator[dict[str, Real]]:
 
 
 def _moves(wanted: Wanted, views: Sequence[View]) -> Iterator[_Move]:
-    """All views of all models that were moved; about the anchor's, where there is one: asked for once in a fit."""
-    at = wanted.model if wanted.anchor is None else wanted.anchor.model
+    """All views of all models that were moved; about the anchor's, where there is one: asked for once in a fit.
+
+    Where the anchor lacks an effect, or has it elsewhere, about the wanted model: effects are bent more.
+    """
     for path in wanted.differences:
+        of_effect = path.startswith("effects.")
+        at = wanted.model if wanted.anchor is None or of_effect else wanted.anchor.model
         for weight, model in moved_models(at, path):
             yield from (_Move(path, weight, model, number) for number in range(len(views)))
 

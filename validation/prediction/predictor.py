@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from copy import copy
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from luxloop.errors import RemoteError
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 Heard = Callable[[int, int], None]
+Progress = Callable[[float, str], None]
 
 LIMIT_S = 86_400.0
 """Of one attempt: an anchor of many histories takes long."""
@@ -26,6 +28,13 @@ class Predictor:
 
     def __init__(self, client: Asks) -> None:
         self._client, self._films = client, FilmTables(client)
+        self._progress: Progress | None = None
+
+    def telling(self, progress: Progress) -> Predictor:
+        """The same; `progress` is told the share done of each long answer, and what is done, from several threads."""
+        found = copy(self)
+        found._progress = progress
+        return found
 
     def images(
         self, model: Model, views: Sequence[View], paths: Sequence[str] = (), anchor: Anchored | None = None
@@ -59,7 +68,7 @@ class Predictor:
 
         def ask() -> list[Predicted]:
             requests = [images.simulation(model, v, histories, seed, n, self._films.of) for n, v in enumerate(views)]
-            return [images.simulated(answer) for answer in self._answers(requests, heard)]
+            return [images.simulated(*one) for one in zip(self._answers(requests, heard), views, strict=True)]
 
         return self._again(ask)
 
@@ -82,7 +91,9 @@ class Predictor:
     def _answers(self, requests: Sequence[Any], heard: Heard | None = None) -> list[Answer]:
         """The answers to requests, in their order; the first failure is raised."""
         found: dict[int, Answer] = {}
-        for number, answer in self._client.map(requests, limit_s=LIMIT_S):
+        tell = self._progress
+        options: Any = {} if tell is None else {"on_pending": lambda at: tell(at.progress_ratio, at.note)}
+        for number, answer in self._client.map(requests, limit_s=LIMIT_S, **options):
             if isinstance(answer, RemoteError):
                 raise answer
             found[number] = answer

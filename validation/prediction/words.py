@@ -27,8 +27,8 @@ class Asks(Protocol):
     def run(self, request: Any, *, fresh: bool = False) -> Answer:
         """The answer to one request; RemoteError where there is none."""
 
-    def map(self, requests: Sequence[Any], *, limit_s: float) -> Iterable[tuple[int, Answer | RemoteError]]:
-        """(number, answer or failure) of each request, as they come in."""
+    def map(self, requests: Sequence[Any], **options: Any) -> Iterable[tuple[int, Answer | RemoteError]]:
+        """(number, answer or failure) of each request, as they come in; options are those of `run`."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +39,15 @@ class Pose:
     """(row, column), in pixels of the view."""
     rotation_deg: float = 0.0
     """Of the image about the module's centre, x towards y."""
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """What makes a signal of light, for effects that act on signals: gain x irradiance + offset, up to full scale."""
+
+    gain_dn: float
+    offset_dn: float
+    full_scale_dn: float
 
 
 @dataclass(frozen=True)
@@ -53,6 +62,8 @@ class View:
     centre_px: tuple[float, float]
     """(row, column) of the module's centre before the pose."""
     pose: Pose = Pose()
+    sensor: Sensor | None = None
+    """Where effects bend signals; none: as at a gain of 1 without offset."""
 
 
 @dataclass(frozen=True)
@@ -65,6 +76,8 @@ class Anchored:
     seed: int = 1
     poses: Sequence[Pose] = ()
     """One for each view: where the difference between Monte Carlo and twin is seen from; none: unmoved cameras."""
+    exit_seed: int = 1
+    """Of the walk inside chips whose exits the twin lands: its derivatives have noise of their own."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,8 +89,10 @@ class Predicted:
     jacobian_per_mm2: dict[str, Real]
     """(row, column) by path of the model, per that parameter's own unit, or by name of the pose's number."""
     noise_per_mm2: Real | None = None
-    """(group, row, column) of an anchor: the covariance of two pixels is the sum over groups of their products.
-    Groups of views with different samples are independent."""
+    """(function, row, column) of an anchor: the covariance of two pixels is the sum over functions of their products.
+    The noise of views with different samples is independent."""
+    twin_per_mm2: Real | None = None
+    """(row, column), the twin's own image where there is an anchor: it errs, but not as the anchor's noise does."""
 
 
 @dataclass(frozen=True, eq=False)

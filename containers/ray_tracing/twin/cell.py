@@ -18,7 +18,7 @@ from containers.ray_tracing.exits import Exits
 from containers.ray_tracing.field import Axis, CellField
 from containers.ray_tracing.packing import emission_arrays
 from containers.ray_tracing.tally import Box
-from containers.ray_tracing.twin.closure import round_trip
+from containers.ray_tracing.twin.closure import Leak, leaking, round_trip
 from containers.ray_tracing.twin.direct import ARRIVES, direct_light, lambertian_part, open_way
 from containers.ray_tracing.twin.shadow import correction, low_axis, periods_seen
 from containers.scene import Cell, Receiver, Scene
@@ -71,13 +71,15 @@ def cell_field(
     cloud = 1.0 / np.multiply.outer(window[1], window[0])
     k = np.sqrt(np.add.outer(arrives.y.wavenumber_per_um**2, arrives.x.wavenumber_per_um**2))
     kept, _ = lambertian_part(receiver.bsdf)
-    T = round_trip(scene.substrate, receiver, k * scene.distance_um)
+    x, leak = k * scene.distance_um, Leak.of(scene)
+    T = leaking(round_trip(scene.substrate, receiver, x), leak, receiver, x)
     low = low_axis(arrives.x, periods_seen(scene)), low_axis(arrives.y, periods_seen(scene))
     dT = correction(way, emission, *low, seed=seed, threads=threads) if shadow else None
     direct = arrives.coefficients * cloud
     total = _all_light(direct, kept, T, dT, arrives)
     if tally.bins.shape[1] > 1:
-        more = round_trip(scene.substrate, receiver, k * scene.distance_um, recorded=True) - T
+        seen = round_trip(scene.substrate, receiver, x, recorded=True)
+        more = leaking(seen, leak, receiver, x, recorded=True) - T
         total = total + field_of(1).coefficients * cloud + kept * more * total
     return replace(arrives, coefficients=total * plate(receiver, k))
 

@@ -21,6 +21,7 @@ from containers.ray_tracing.arrays import (
     ENDS,
     HALF_X,
     HALF_Y,
+    LEAK_SHARE,
     ORIGIN_X,
     ORIGIN_Y,
     PERIODIC,
@@ -62,8 +63,9 @@ class Way:
         return self.arrays.scene
 
     def endless(self) -> Way:
-        """The same chips in a cell that repeats."""
+        """The same chips in a cell that repeats, on a substrate that does not leak: what chips do is asked alone."""
         numbers, flags = self.scene.numbers.copy(), self.scene.flags.copy()
+        numbers[LEAK_SHARE] = 0.0
         numbers[[HALF_X, HALF_Y]], numbers[[ORIGIN_X, ORIGIN_Y, TILT_X, TILT_Y]] = np.inf, 0.0
         flags[[PERIODIC, WALLS]] = 1, 0
         scene = self.scene._replace(numbers=numbers, flags=flags)

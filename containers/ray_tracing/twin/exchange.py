@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from containers.bsdf import Bsdf, Lambertian
-from containers.ray_tracing.twin.closure import lambert, round_trip, ways_of
+from containers.ray_tracing.twin.closure import Leak, lambert, leaking, round_trip, ways_of
 from containers.ray_tracing.twin.direct import lambertian_part
 from containers.scene import Array, Receiver
 from luxloop.errors import InputError
@@ -24,6 +24,7 @@ Complex = NDArray[np.complex128]
 STEPS_PER_DISTANCE = 3.0
 TOLERANCE = 1e-6
 MOST_ITERATIONS = 200
+NO_LEAK = Leak()
 
 
 class Exchange:
@@ -32,6 +33,7 @@ class Exchange:
     Parameters
     ----------
     lost : share of what a cell's chip keeps from coming up again, of all light sent back in a cell that repeats.
+    leak : of the substrate, which goes on beyond the module's edge.
 
     Notes
     -----
@@ -39,7 +41,13 @@ class Exchange:
     """
 
     def __init__(
-        self, layout: Array, substrate: Bsdf, receiver: Receiver, distance_um: float, lost: float = 0.0
+        self,
+        layout: Array,
+        substrate: Bsdf,
+        receiver: Receiver,
+        distance_um: float,
+        lost: float = 0.0,
+        leak: Leak = NO_LEAK,
     ) -> None:
         halves = layout.half_y_um, layout.half_x_um
         self._shape = tuple(int(np.ceil(2.0 * half * STEPS_PER_DISTANCE / distance_um)) for half in halves)
@@ -49,18 +57,18 @@ class Exchange:
         self._k = np.hypot(ky[:, None], kx[: self._padded[1] // 2 + 1])
         self._kept = lambertian_part(receiver.bsdf)[0]
         self._returned = self._past_chips(layout, distance_um, lost)
-        ways = ways_of(substrate)
-        self._diffuse = sum(share for kind, _, share in ways if kind is Lambertian)
+        ways, x = ways_of(substrate), self._k * distance_um
+        self._leak, self._displaced = leak.share, leak.displaced(x)
+        diffuse = sum(share for kind, _, share in ways if kind is Lambertian)
         direct = sum(share for kind, _, share in ways if kind is not Lambertian)
-        x = self._k * distance_um
         all_of_it = round_trip(substrate, receiver, x)
-        in_waves = all_of_it - direct * lambert(2.0 * x)
-        if self._diffuse:
-            in_waves = in_waves - self._diffuse * lambert(x) ** 2
-        self._straight = direct * self._by_lambert(2.0 * distance_um) + in_waves
-        self._down = self._by_lambert(distance_um)
+        in_waves = all_of_it - direct * lambert(2.0 * x) - diffuse * lambert(x) ** 2
+        self._straight = (1.0 - leak.share) * (direct * self._by_lambert(2.0 * distance_um) + in_waves)
+        self._diffuse, self._down = (1.0 - leak.share) * diffuse, self._by_lambert(distance_um)
         plain = bool(np.all(receiver.response == 1.0))
-        self._more_recorded = 0.0 if plain else round_trip(substrate, receiver, x, recorded=True) - all_of_it
+        seen = all_of_it if plain else round_trip(substrate, receiver, x, recorded=True)
+        trips = (leaking(T, leak, receiver, x, recorded=T is seen) for T in (seen, all_of_it))
+        self._more_recorded = 0.0 if plain else np.subtract(*trips)
 
     @property
     def centres_um(self) -> tuple[Real, Real]:
@@ -84,8 +92,8 @@ class Exchange:
                 return np.asarray(waves + self._kept * self._more_recorded * sent)
         raise InputError("receiver", self._kept, "less light sent back and forth", "the iteration does not settle")
 
-    def sum_up(self, waves: Complex, x_um: Real, y_um: Real, spread: Real | None = None) -> Real:
-        """Waves summed at every crossing (y, x) of the places; `spread` is a factor on each, at `wavenumbers`."""
+    def sum_up(self, waves: Complex, x_um: Real, y_um: Real) -> Real:
+        """Waves summed at every crossing (y, x) of the places."""
         rows, columns = self._padded
         x0, y0 = (centres[0] for centres in self.centres_um)
         ky = 2.0 * np.pi * np.fft.fftfreq(rows, self._step[0])
@@ -93,21 +101,15 @@ class Exchange:
         twice = np.where((np.arange(kx.size) == 0) | (np.arange(kx.size) == columns // 2), 1.0, 2.0)
         along_x = np.exp(1j * np.outer(x_um - x0, kx)) * twice
         along_y = np.exp(1j * np.outer(y_um - y0, ky))
-        shaped = waves if spread is None else waves * spread
-        return np.asarray((along_y @ shaped @ along_x.T).real / (rows * columns))
-
-    @property
-    def wavenumbers(self) -> Real:
-        """Of the waves, rad/um."""
-        return np.asarray(self._k)
+        return np.asarray((along_y @ waves @ along_x.T).real / (rows * columns))
 
     def _once(self, light: Real) -> Complex:
         """Waves of what comes up again of the light on the grid."""
         sent = np.fft.rfft2(self._returned * light, self._padded)
         waves = sent * self._straight
-        if self._diffuse:
-            on_substrate = self._inside(sent * self._down)
-            waves = waves + self._diffuse * np.fft.rfft2(on_substrate, self._padded) * self._down
+        if self._diffuse or self._leak:
+            on_substrate = np.fft.rfft2(self._inside(sent * self._down), self._padded)
+            waves = waves + (self._diffuse + self._leak * self._displaced) * on_substrate * self._down
         return np.asarray(self._kept * waves)
 
     def _inside(self, waves: Complex) -> Real:

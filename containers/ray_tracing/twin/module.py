@@ -8,6 +8,7 @@ make a smooth map. Of powers and displacements everything is in it but that neig
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,7 +19,8 @@ from containers.ray_tracing.exits import Exits
 from containers.ray_tracing.field import CUTOFF_X, TAPER_END, Axis, CellField, ModuleField
 from containers.ray_tracing.packing import emission_arrays
 from containers.ray_tracing.tally import Box, Tally
-from containers.ray_tracing.twin.cell import SEED, cloud_window, plate
+from containers.ray_tracing.twin.cell import SEED, cloud_window
+from containers.ray_tracing.twin.closure import Leak
 from containers.ray_tracing.twin.direct import ARRIVES, Way, direct_light, open_way
 from containers.ray_tracing.twin.exchange import Complex, Exchange
 from containers.ray_tracing.twin.shadow import RAYS, correction
@@ -32,6 +34,8 @@ PAD = 2.0
 """In distances: how far beyond the module's edge the map goes on."""
 MOST_BINS = 512
 """Along a half of one chip's map."""
+STEPS_PER_SD = 4.0
+"""Of the spread in the receiver's plate, at least."""
 
 
 class ModuleTwin:
@@ -71,22 +75,39 @@ class ModuleTwin:
             scene, direct_light(way, lit, exits, seed, blocks=blocks, groups=groups, threads=threads)
         )
         lost = self._lost(way, lit, shadow_rays, seed, threads)
-        self.exchange = Exchange(self.layout, scene.substrate, scene.receiver, scene.distance_um, lost)
-        k = np.hypot(*np.meshgrid(self.chip.y.wavenumber_per_um, self.chip.x.wavenumber_per_um, indexing="ij"))
-        self._recorded = self.chip.coefficients.sum(axis=1) * plate(scene.receiver, k)
-        self._spread = plate(scene.receiver, self.exchange.wavenumbers) if scene.receiver.spread_share else None
+        self.exchange = Exchange(
+            self.layout, scene.substrate, scene.receiver, scene.distance_um, lost, Leak.of(scene)
+        )
+        self._recorded = self.chip.coefficients.sum(axis=1)
 
     def mean(self, x_um: Real, y_um: Real) -> Real:
         """The map (y, x) at every crossing of the given places."""
-        waves = self._waves(self.chip.coefficients[:, ARRIVES].mean(axis=0))
-        again = self.exchange.sum_up(waves, x_um, y_um, self._spread)
-        return np.asarray(1e6 * (self._laid(self._recorded.mean(axis=0), x_um, y_um) + again))
+        waves, recorded = self._waves(self.chip.coefficients[:, ARRIVES].mean(axis=0)), self._recorded.mean(axis=0)
+        return self._through_plate(
+            lambda x, y: self._laid(recorded, x, y) + self.exchange.sum_up(waves, x, y), x_um, y_um
+        )
 
     def of_groups(self, x_um: Real, y_um: Real) -> Real:
         """The map of each group, (group, y, x)."""
         waves = [self._waves(one) for one in self.chip.coefficients[:, ARRIVES]]
-        again = np.stack([self.exchange.sum_up(one, x_um, y_um, self._spread) for one in waves])
-        return np.asarray(1e6 * (np.stack([self._laid(one, x_um, y_um) for one in self._recorded]) + again))
+
+        def light(x: Real, y: Real) -> Real:
+            again = np.stack([self.exchange.sum_up(one, x, y) for one in waves])
+            return np.asarray(np.stack([self._laid(one, x, y) for one in self._recorded]) + again)
+
+        return self._through_plate(light, x_um, y_um)
+
+    def _through_plate(self, light: Callable[[Real, Real], Real], x_um: Real, y_um: Real) -> Real:
+        """What is recorded of light (..., y, x): of what arrives inside the module, a share is displaced."""
+        a, sd = self.scene.receiver.spread_share, self.scene.receiver.spread_um
+        recorded = light(x_um, y_um)
+        if a and sd:
+            (x, to_x), (y, to_y) = (
+                _displaced(at, half, min(self.scene.height_um / BINS_PER_HEIGHT, sd / STEPS_PER_SD), sd)
+                for at, half in ((x_um, self.layout.half_x_um), (y_um, self.layout.half_y_um))
+            )
+            recorded = (1.0 - a) * recorded + a * (to_y @ light(x, y) @ to_x.T)
+        return np.asarray(1e6 * recorded)
 
     def field(self) -> ModuleField:
         """All groups as a field over the module and a pad beyond its edges."""
@@ -179,6 +200,14 @@ def one_chip(scene: Scene, tally: Tally) -> ChipMap:
     cloud = np.multiply.outer(cloud_window(y, box.step_um), cloud_window(x, box.step_um))
     coefficients = np.stack([field.coefficients for field in fields], axis=1) * (fade / cloud) / (2.0 * reach) ** 2
     return ChipMap(coefficients, x, y, tally.total_histories)
+
+
+def _displaced(at_um: Real, half_um: float, step_um: float, sd_um: float) -> tuple[Real, Real]:
+    """Samples of a module along an axis, and the matrix (place, sample) of a Gaussian's weights over them."""
+    count = int(np.ceil(2.0 * half_um / step_um))
+    sample = ((np.arange(count) + 0.5) / count * 2.0 - 1.0) * half_um
+    weight = np.exp(-0.5 * ((at_um[:, None] - sample) / sd_um) ** 2)
+    return sample, weight * (2.0 * half_um / count / (sd_um * np.sqrt(2.0 * np.pi)))
 
 
 def _waves_of(axis: Axis) -> tuple[Real, Complex]:

@@ -23,6 +23,7 @@ from containers.ray_tracing.camera import irradiance_image, margin_px, pixels, r
 from containers.ray_tracing.exits import Exits, chip_key
 from containers.ray_tracing.field import Field
 from containers.ray_tracing.light_map import LightMap
+from containers.ray_tracing.several_tops import scenes_of
 from containers.ray_tracing.twin.columns import CameraColumn, Column
 from containers.ray_tracing.twin.direct import in_parallel
 from containers.ray_tracing.twin.module import BINS_PER_HEIGHT, PAD, ModuleTwin
@@ -250,7 +251,8 @@ def twin_views(
     options : `ModuleTwin`'s blocks and shadow_rays.
     """
     rows, columns = refuse_several_sizes(shots)
-    exits = [supply.of(shot.scene, shot.base) for shot in shots]
+    parts = [scenes_of(shot.scene) for shot in shots]
+    exits = [[supply.of(one, _base(one, shot)) for one in scenes] for scenes, shot in zip(parts, shots, strict=True)]
     images = np.zeros((len(shots), rows, columns))
     of_camera = np.zeros((len(cameras), *images.shape))
 
@@ -258,8 +260,9 @@ def twin_views(
         report()
         shot = shots[number]
         with named(shot.name):
-            twin = ModuleTwin(shot.scene, exits[number], threads=1, **options)
-            light = light_map(twin.mean, shot)
+            pairs = zip(parts[number], exits[number], strict=True)
+            twins = [ModuleTwin(one, its, threads=1, **options) for one, its in pairs]
+            light = light_map(lambda x, y: sum(twin.mean(x, y) for twin in twins), shot)
             images[number] = shot.image(light)
             for derivative, column in zip(of_camera, cameras, strict=True):
                 up, down = (shot.image(light, column.move(shot.camera, s * column.step)) for s in (1.0, -1.0))
@@ -267,6 +270,11 @@ def twin_views(
 
     in_parallel(see, range(len(shots)), threads)
     return images, of_camera
+
+
+def _base(scene: Scene, shot: Shot) -> Scene | None:
+    """Whose exits may stand for those of a scene that is a part of a shot."""
+    return shot.base if scene is shot.scene else shot.base or shot.scene
 
 
 def jacobian(

@@ -56,7 +56,8 @@ def reweighted(exits: Exits, stored: Scene, wanted: Scene) -> Reweighted:
     ------
     InputError : exits without notes.
     OtherChipError : chips that differ in more than the bottom's reflectance, the absorption and the
-        top face, or do so in a way that was not noted (the substrate below an air gap, light where there was none).
+        top face, or do so in a way that was not noted (the substrate below an air gap, light where there was none,
+        a top that absorbs from total reflection where the other did not).
 
     Notes
     -----
@@ -129,6 +130,11 @@ def _top_factor(exits: Exits, stored: Scene, wanted: Scene) -> Real:
     for wave, n in enumerate(stored.chip.index):
         own = np.flatnonzero(waves == wave)
         before, after = stored.chip.top.inside[wave], wanted.chip.top.inside[wave]
+        if _reflects_totally(before, n) and not _reflects_totally(after, n):
+            mend = "make the exits of this chip"
+            raise OtherChipError(
+                "top", "loses light beyond the critical angle", "no loss: those hits are not noted", mend
+            )
         hits = exits.notes[own, TOP_HITS]
         noted = np.arange(NOTED) < hits[:, None]
         rays, places = np.nonzero(noted)
@@ -139,6 +145,12 @@ def _top_factor(exits: Exits, stored: Scene, wanted: Scene) -> Real:
         u2 = exits.rays[through, DX].astype(float) ** 2 + exits.rays[through, DY].astype(float) ** 2
         factor[through] *= _ratio(before, after, np.sqrt(1.0 - u2 / n**2), "refracted")
     return factor
+
+
+def _reflects_totally(face: Bsdf, n: float) -> bool:
+    """Whether a top keeps all light beyond the critical angle: the walk then notes no hits there."""
+    beyond = np.linspace(np.arcsin(1.0 / n) + 1e-6, np.pi / 2, 65)
+    return float(face.deltas(beyond).mirror.min()) > 1.0 - 1e-12
 
 
 def _ratio(before: Bsdf, after: Bsdf, cosine: Real, part: str) -> Real:

@@ -1,0 +1,35 @@
+"""The film and its neighbour are mixed at a face."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+
+from containers.effect import StackEffect, parameter
+from containers.mixing import with_interlayer
+from containers.stack import StackRows, film_face
+
+
+class FilmInterlayer(StackEffect):
+    """A layer of film and neighbour, half and half, lies at a face of the film: roughness as ellipsometry has it."""
+
+    name = "film_interlayer"
+    of = ("film",)
+    formula = "a layer of Bruggeman's mixture of both neighbours, half its thickness taken from each"
+    reference = "Bruggeman, Ann. Phys. 416, 636 (1935); Aspnes, Theeten, Hottier, Phys. Rev. B 20, 3292 (1979)"
+    scope = "per_sample"
+    excludes = ("film_interface_roughness",)
+
+    thickness_nm: float = parameter("of the mixed layer", unit="nm", lower=0.0, upper=20.0, off=0.0, one_sided=True)
+    face: Literal["inner", "outer"] = parameter(
+        "of the film: to the substrate, or to the light", unit="", choices=("inner", "outer")
+    )
+
+    def rows(self, rows: StackRows) -> StackRows:
+        """The rows with the mixed layer, no thicker than its neighbours give; the film is the thickest coherent."""
+        if not self.thickness_nm:
+            return rows
+        face = film_face(rows.thickness_nm, rows.coherent, self.face)
+        neighbours_nm = [np.inf, *rows.thickness_nm, np.inf][face : face + 2]
+        return with_interlayer(rows, face, min(self.thickness_nm, 2.0 * min(neighbours_nm)))

@@ -1,0 +1,100 @@
+"""Light that travels inside the substrate: where it comes out, that none is lost, and the twin's account of it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.integrate import quad
+from scipy.special import j1, k1
+
+from containers.acting import Effects
+from containers.bsdf import Mirror
+from containers.effects.substrate_leak import SubstrateLeak
+from containers.ray_tracing.exits import Landing, chip_key, make_exits
+from containers.ray_tracing.field import CellField
+from containers.ray_tracing.monte_carlo import BLOCK
+from containers.ray_tracing.twin.cell import cell_field
+from containers.ray_tracing.twin.closure import Leak, lambert, leaking, round_trip
+from containers.scene import Array, Emission, Scene, lambertian_receiver
+from luxloop.errors import InputError
+from tests.ray_scenes import launched, scene
+
+Real = NDArray[np.float64]
+DOWN = np.array([0.0, 0.0, -1.0])
+
+
+def leaky(of: Scene, share: float, length_um: float = 300.0) -> Scene:
+    """The scene under the effect."""
+    return Effects((SubstrateLeak(leak_share=share, length_um=length_um),)).scene(of)
+
+
+@pytest.mark.parametrize("length_um", [1e-6, 100.0, 300.0])
+def test_light_comes_out_with_the_density_and_by_lambert_s_law(length_um: float) -> None:
+    """Of light sent straight down the share within 180 um is the integral over waves of both transforms."""
+    one = replace(Array.regular(1, 1, 500.0, half_um=4000.0), offset_um=np.full((1, 1, 2), 1e-3))  # not folded
+    wide = scene(layout=one, receiver=lambertian_receiver(0.0))
+    rays, D = 100_000, wide.distance_um
+    tally = launched(replace(wide, leak_share=1.0, leak_um=length_um), np.tile([40.0, 0.0, 1.0], (rays, 1)), DOWN)
+    bins, (x0, x1, y0, y1) = tally.cell_bins()[0], tally.box.ends_um
+    x = x0 + (np.arange(bins.shape[1]) + 0.5) * (x1 - x0) / bins.shape[1]
+    y = y0 + (np.arange(bins.shape[0]) + 0.5) * (y1 - y0) / bins.shape[0]
+    found = bins[(x - 40.0) ** 2 + (y**2)[:, None] < D**2].sum() / rays
+    wave = lambda k: j1(k * D) * D * k * D * k1(k * D) * (1.0 + (k * length_um) ** 2) ** -1.5  # noqa: E731
+    assert found == pytest.approx(quad(wave, 1e-9, 0.25, limit=400)[0], abs=0.008)
+    assert abs(tally.ledger_defect) < 1e-9
+
+
+def test_a_leak_keeps_light_and_spares_it_the_substrate_s_loss() -> None:
+    """What leaks is not absorbed: with reflectance 0.5 and share a, 1 - (1 - a)/2 of the light sent down comes up."""
+    dark = scene(substrate=Mirror(0.5), receiver=lambertian_receiver(0.0))
+    for share in (0.0, 0.1):
+        tally = launched(leaky(dark, share), np.tile([200.0, 200.0, 1.0], (100_000, 1)), DOWN)
+        up = 1.0 - tally.ledger_per_history["substrate"]
+        assert up == pytest.approx(1.0 - (1.0 - share) / 2.0, abs=0.006)
+        assert abs(tally.ledger_defect) < 1e-9
+
+
+def test_a_leak_of_nothing_is_no_leak_and_leaves_chips_alone() -> None:
+    """The scene itself comes back at 0; the exits of a chip do not depend on the leak."""
+    base = scene()
+    assert leaky(base, 0.0) is base
+    assert chip_key(leaky(base, 0.1)) == chip_key(base)
+    with pytest.raises(InputError, match="leak_share"):
+        replace(base, leak_share=1.5)
+
+
+def test_the_round_trip_keeps_its_light_and_has_the_closed_form() -> None:
+    """At wave 0 the share a is spared the substrate's loss; at others it is (x K1)^2 (1 + k^2 L^2)^(-3/2)."""
+    of = leaky(scene(), 0.1, 360.0)
+    leak, x = Leak.of(of), np.linspace(0.0, 4.0, 9)
+    trip = round_trip(of.substrate, of.receiver, x)
+    found = leaking(trip, leak, of.receiver, x)
+    assert found[0] == pytest.approx(0.9 * 0.97 + 0.1, abs=1e-9)
+    assert found == pytest.approx(0.9 * trip + 0.1 * lambert(x) ** 2 * (1.0 + 4.0 * x**2) ** -1.5, abs=1e-9)
+    assert leaking(trip, Leak(), of.receiver, x) is trip
+
+
+def test_the_twin_s_leak_is_that_of_monte_carlo() -> None:
+    """A cell of chips with Lambertian tops, share 0.1, L 0.3 mm: the leak changes the lowest modes alike."""
+    base = scene(emission=Emission(from_top=True))
+    exits = make_exits(base, 1, 4 * BLOCK)
+    after = leaky(base, 0.1)
+
+    def traced(of: Scene) -> Real:
+        found = []
+        for seed in range(4):
+            tally = Landing(of, exits, seed, survival=1.0).run_to(exits.histories)
+            field = CellField.from_bins(tally.cell_bins(), tally.histories, 500.0, of.height_um, folded=True)
+            found.append(field.coefficients.mean(axis=0)[:3, :3])
+        return np.array(found)
+
+    change = traced(after) - traced(base)
+    error = change.std(axis=0, ddof=1) / np.sqrt(len(change))
+    twin = [cell_field(of, exits).coefficients.mean(axis=0)[:3, :3] for of in (after, base)]
+    moved = twin[0] - twin[1]
+    assert np.abs(moved - change.mean(axis=0)).max() < 5.0 * error.max() + 2e-4
+    assert moved[0, 0] == pytest.approx(change.mean(axis=0)[0, 0], abs=4.0 * error[0, 0] + 2e-4)
+    assert moved[0, 0] > 5.0 * error[0, 0]

@@ -1,0 +1,133 @@
+"""A made-up catalogue over the closed-form predictor: every effect multiplies the image by a pattern of the place.
+
+ripple, ripple_like   1 + a cos(2 pi (x + 2 y) / 350 um), and nearly the same
+fog                   (1 - s^2) E + s^2 E blurred by 3 px: only s^2 has a slope
+stripes               1 + a cos(2 pi x / L): L shapes it
+spiral                1 + a cos(3 phi): not in the catalogue, for what nobody knows
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
+
+from luxloop.effect import AppliedEffect, EffectParameter, EffectSpec
+from luxloop.model import Model
+from tests.validation.analytic import ARRAY, MODEL, PATHS, SINGLE, Spots, blank
+from validation.contrasts.null import Variances, null
+from validation.contrasts.structure import fit_layout, fit_projection, judged
+from validation.diagnose.columns import FitSight, candidates_of
+from validation.diagnose.diagnosis import Diagnosis, Ground, diagnosed
+from validation.diagnose.score import Candidate
+from validation.fit import Fit, fit
+from validation.measured import MeasuredImage
+from validation.prediction import Anchored, Predicted, View
+
+Real = NDArray[np.float64]
+GAIN = 300.0
+THIRD = ARRAY.model_copy(update={"id": "third", "dbr_pairs": 2.5})
+
+
+def spec(name: str, *more: EffectParameter, square: bool = False) -> EffectSpec:
+    """An effect with a size, and what shapes it."""
+    size = EffectParameter(
+        name="size", description="of it", lower=0.0 if square else -0.5, upper=0.5, off=0.0,
+        score_variable="square" if square else "value", one_sided=square,
+    )  # fmt: skip
+    return EffectSpec(name=name, stage="detector", description=name, parameters=(size, *more))
+
+
+LENGTH = EffectParameter(
+    name="length_um", description="of a stripe", unit="um", lower=50.0, upper=900.0, shape_grid=(200.0, 300.0, 450.0)
+)
+CATALOGUE = (spec("ripple"), spec("ripple_like"), spec("fog", square=True), spec("stripes", LENGTH))
+
+
+class Affected(Spots):
+    """Predicts the spots with the model's effects on them."""
+
+    def images(
+        self, model: Model, views: Sequence[View], paths: Sequence[str] = (), anchor: Anchored | None = None
+    ) -> list[Predicted]:
+        """As `Spots`; derivatives by effects are differences."""
+        own = [path for path in paths if not path.startswith("effects.")]
+        found = super().images(model, views, own, anchor)
+        affected = []
+        for view, one in zip(views, found, strict=True):
+            columns = {name: seen(model, view, part) for name, part in one.jacobian_per_mm2.items()}
+            for path in set(paths) - set(own):
+                value = model.leaves()[path]
+                up, down = (
+                    seen(model.with_value(path, value + by), view, one.irradiance_per_mm2) for by in (1e-4, -1e-4)
+                )
+                columns[path] = (up - down) / 2e-4
+            affected.append(
+                replace(one, irradiance_per_mm2=seen(model, view, one.irradiance_per_mm2), jacobian_per_mm2=columns)
+            )
+        return affected
+
+
+def seen(model: Model, view: View, image: Real) -> Real:
+    """An image with the model's effects."""
+    rows, columns = np.indices(image.shape)
+    x, y = (columns - view.centre_px[1]) * view.pixel_um, (rows - view.centre_px[0]) * view.pixel_um
+    for effect in model.effects:
+        size = float(effect.parameters["size"])  # type: ignore[arg-type]  # a number in this catalogue
+        if effect.name == "fog":
+            image = (1.0 - size**2) * image + size**2 * gaussian_filter(image, 3.0)
+            continue
+        length = float(effect.parameters.get("length_um", 0.0))  # type: ignore[arg-type]
+        pattern = {
+            "ripple": lambda: np.cos(2.0 * np.pi * (x + 2.0 * y) / 350.0),
+            "ripple_like": lambda: np.cos(2.0 * np.pi * (x + 2.0 * y) / 354.0),
+            "stripes": lambda: np.cos(2.0 * np.pi * x / length),  # noqa: B023
+            "spiral": lambda: np.cos(3.0 * np.arctan2(y, x)),
+        }[effect.name]()
+        image = image * (1.0 + size * pattern)
+    return image
+
+
+def data(name: str | None, seed: int, size: float = 0.0, length_um: float | None = None) -> list[MeasuredImage]:
+    """Three images of the spots, with an effect hidden in them; rectangles of three samples, with noise."""
+    parameters = {"size": size} | ({} if length_um is None else {"length_um": length_um})
+    hidden = () if name is None else (AppliedEffect(name=name, parameters=parameters),)
+    truth = MODEL.model_copy(update={"effects": hidden})
+    random = np.random.default_rng(seed)
+    images = []
+    for shot, sample in (("single", SINGLE), ("array", ARRAY), ("third", THIRD)):
+        image = blank(shot, sample, side=40)
+        view = View(sample, 40, 40, image.pixel_um, image.centre_px)
+        (light,) = Affected().images(truth, [view])
+        signal = GAIN * light.irradiance_per_mm2 + 20.0
+        images.append(
+            replace(
+                image, signal_dn=signal + np.sqrt(image.variance_dn2(signal)) * random.standard_normal(signal.shape)
+            )
+        )
+    return images
+
+
+def ground_of(found: Fit) -> Ground:
+    """The structure of a fit."""
+    layout, projection = fit_layout(found), fit_projection(found)
+    variances = Variances.of(layout, projection)
+    drawn = null(layout, projection, variances.weight, 2000, 1)
+    return Ground(found, judged(found.residual, layout, projection, variances, drawn), drawn, projection, variances)
+
+
+def diagnosis(
+    images: Sequence[MeasuredImage], model: Model = MODEL, known: Sequence[EffectSpec] = CATALOGUE
+) -> Diagnosis:
+    """The verdict on images."""
+    predictor = Affected()
+    base = fit(model, images, predictor, free=PATHS)
+
+    def signatures(at: Fit, effects: Sequence[EffectSpec]) -> list[Candidate]:
+        sight = FitSight.of(at, predictor, effects)  # type: ignore[arg-type]  # it predicts as a predictor does
+        return candidates_of(at, effects, sight)
+
+    return diagnosed(ground_of(base), known, signatures, ground_of, lambda *_: "Take one image: another.")

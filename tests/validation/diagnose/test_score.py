@@ -1,0 +1,117 @@
+"""Score tests on made-up columns, where everything is known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from luxloop.effect import EffectParameter, EffectSpec
+from validation.contrasts.null import Projection
+from validation.diagnose.confounding import confounding, left_beside
+from validation.diagnose.score import Candidate, Projected, scores
+
+ROWS = 400
+RANDOM = np.random.default_rng(5)
+FITTED = np.linalg.qr(RANDOM.standard_normal((ROWS, 4)))[0]
+PROJECTION = Projection(FITTED, np.zeros((0, 4)))
+
+
+def candidate(
+    name: str, columns: np.ndarray, *, one_sided: bool = False, group: bool = False, **shape: float
+) -> Candidate:
+    """An effect with these whitened columns."""
+    lower = 0.0 if one_sided else -1.0
+    parameter = EffectParameter(
+        name="size", description="of it", lower=lower, upper=1.0, off=0.0, one_sided=one_sided, per_chip=group
+    )
+    spec = EffectSpec(name=name, stage="geometry", description=name, parameters=(parameter,))
+    return Candidate(spec, parameter, tuple(shape.items()), np.atleast_2d(columns))
+
+
+def column(seed: int) -> np.ndarray:
+    """A column of length 100."""
+    found = np.random.default_rng(seed).standard_normal(ROWS)
+    return 100.0 * found / np.linalg.norm(found)
+
+
+def noise(seed: int) -> np.ndarray:
+    """What a fit leaves of white noise."""
+    return PROJECTION.residual(np.random.default_rng(10_000 + seed).standard_normal(ROWS))
+
+
+def test_a_hidden_effect_is_found_with_its_size_and_error() -> None:
+    """Size within its error, which is one over the length of what is left of its column; z is size over error."""
+    a = column(1)
+    projected = Projected.of([candidate("a", a), candidate("b", column(2))], PROJECTION)
+    found = scores(projected, PROJECTION.residual(0.2 * a) + noise(1))
+    best = found.effects[0].best
+    left = float(np.linalg.norm(PROJECTION.residual(a)))
+    assert found.effects[0].name == "a"
+    assert best.error == pytest.approx(1.0 / left, rel=1e-9)
+    assert abs(best.size - 0.2) < 3.0 * best.error
+    assert best.z == pytest.approx(best.size / best.error, rel=1e-9)
+    assert found.p < 1e-6
+
+
+def test_noise_alone_is_called_an_effect_as_often_as_is_said() -> None:
+    """The family-wise p is uniform: of 400 sets of noise 5 % lie below 0.05, whatever the effects have in common."""
+    a = column(1)
+    tried = [candidate("a", a), candidate("like_a", a + 0.3 * column(2)), candidate("b", column(3), one_sided=True)]
+    tried += [candidate("c", column(seed), length=float(seed)) for seed in (4, 5, 6)]
+    tried += [candidate("many", np.array([column(seed) for seed in range(10, 16)]), group=True)]
+    projected = Projected.of(tried, PROJECTION)
+    p = np.array([scores(projected, noise(seed), draws=2000).p for seed in range(400)])
+    assert 0.02 < np.mean(p < 0.05) < 0.085
+    assert 0.42 < np.mean(p < 0.5) < 0.58
+
+
+def test_a_side_that_does_not_exist_has_no_gain() -> None:
+    """A one-sided effect is not called for what only its negative would explain."""
+    a = column(1)
+    projected = Projected.of([candidate("a", a, one_sided=True)], PROJECTION)
+    assert scores(projected, PROJECTION.residual(-0.3 * a)).effects[0].best.drop == 0.0
+    assert scores(projected, PROJECTION.residual(0.3 * a)).effects[0].best.drop > 100.0
+
+
+def test_what_the_fit_can_do_anyway_is_not_testable() -> None:
+    """An effect inside of what is fitted, and one without any image, are told apart from the others."""
+    tried = [candidate("inside", FITTED[:, 0]), candidate("nothing", np.zeros(ROWS)), candidate("a", column(1))]
+    assert Projected.of(tried, PROJECTION).untestable == ("inside", "nothing")
+
+
+def test_the_best_shape_is_taken_and_paid_for() -> None:
+    """Of three shapes the true one; its chance is that of the largest of three."""
+    shapes = [candidate("a", column(seed), length=float(seed)) for seed in (1, 2, 3)]
+    found = scores(Projected.of(shapes, PROJECTION), PROJECTION.residual(0.05 * column(2)) + noise(3))
+    assert dict(found.effects[0].best.candidate.shape) == {"length": 2.0}
+    single = scores(Projected.of(shapes[1:2], PROJECTION), PROJECTION.residual(0.05 * column(2)) + noise(3))
+    assert found.effects[0].p > single.effects[0].p
+
+
+def test_a_group_is_found_by_its_energy_and_not_in_one_member() -> None:
+    """Six chips displaced by random amounts: the group beats each single column, its rms is found."""
+    members = np.array([column(seed) for seed in range(20, 26)])
+    sizes = 0.15 * np.random.default_rng(0).standard_normal(6)
+    tried = [candidate("all", members, group=True), candidate("one", members[0])]
+    found = scores(Projected.of(tried, PROJECTION), PROJECTION.residual(sizes @ members) + noise(4))
+    assert found.effects[0].name == "all"
+    assert found.effects[0].best.size == pytest.approx(np.sqrt(np.mean(sizes**2)), rel=0.3)
+
+
+def test_groups_of_alike_effects_are_boxed() -> None:
+    """Cosine 0.99 and -0.99 are one group; an orthogonal one stands alone; signs are kept."""
+    a, b = column(1), column(2)
+    b = b - a * (a @ b) / (a @ a)
+    found = confounding({"a": a[None], "b": b[None], "like": (a + 0.1 * b)[None], "against": (-a + 0.1 * b)[None]})
+    assert set(found.groups[0]) == {"a", "like", "against"}
+    assert found.group_of("b") == ("b",)
+    assert found.cosines[0, 3] == pytest.approx(-0.995, abs=1e-3)
+    assert found.rivals("a")[0][0] in ("like", "against")
+
+
+def test_what_is_left_beside_a_rival() -> None:
+    """The sine of the angle between them."""
+    a, b = column(1), column(2)
+    cosine = float(a @ b) / 1e4
+    assert left_beside(a, [b[None]]) == pytest.approx(100.0 * np.sqrt(1.0 - cosine**2), rel=1e-6)
+    assert left_beside(a, []) == pytest.approx(100.0)

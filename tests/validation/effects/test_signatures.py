@@ -1,0 +1,165 @@
+"""Columns of effects by differences of whole predictions, and angles between them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import pytest
+
+from luxloop.effect import EffectParameter, EffectSpec
+from luxloop.model import Model
+from validation.dataset.manifest import Sample
+from validation.effects.known import applied as applied_to
+from validation.effects.known import far_end, off_values, shapes_of, stanza, typical, with_effect
+from validation.effects.signatures import Projection, Sight, cosines, groups_of, projected, signature
+from validation.fit.whitening import Whitening
+from validation.prediction import Predicted, View
+
+SIDE = 6
+SAMPLE = {"distance_um": 180.0, "width_um": 40.0, "spacing_um": 500.0, "thickness_um": 20.0, "dbr_pairs": 0.0}
+SINGLE = Sample(id="a", layout="single", **SAMPLE)
+ARRAY = Sample(id="b", layout="array", rows=2, columns=2, **SAMPLE)
+RANDOM = np.random.default_rng(1)
+BASE, ONE, TWO = RANDOM.uniform(1.0, 2.0, (3, SIDE, SIDE))
+
+
+class Pretended:
+    """Predicts images by a formula in the values of the model's effects; counts how often it is asked."""
+
+    def __init__(self, image: Callable[[dict[str, Any]], Any]) -> None:
+        self.image, self.asked, self.anchors = image, 0, []  # type: ignore[var-annotated]
+
+    def images(self, model: Model, views: Sequence[View], _: Sequence[str] = (), anchor: Any = None) -> list[Any]:
+        """One image for each view."""
+        self.asked += 1
+        self.anchors.append(anchor)
+        values = {f"{e.name}.{name}": value for e in model.effects for name, value in e.parameters.items()}
+        return [Predicted(self.image(values), {}) for _ in views]
+
+
+def spec_of(parameter: EffectParameter, **facts: Any) -> EffectSpec:
+    """An effect with this parameter."""
+    return EffectSpec(name="mine", stage="detector", description="", parameters=(parameter,), **facts)
+
+
+def sight_of(predictor: Any, *samples: Sample) -> Sight:
+    """Views of these samples, of six pixels a side."""
+    views = [View(sample, SIDE, SIDE, 20.0, (2.5, 2.5)) for sample in samples]
+    return Sight(predictor, views)
+
+
+AMPLITUDE = EffectParameter(name="a", description="", lower=-0.5, upper=0.5, off=0.0)
+
+
+def test_a_derivative_in_the_value_is_that_of_the_formula() -> None:
+    """Central differences of base + a one + a^2 two have the slope one, exactly."""
+    predictor = Pretended(lambda at: BASE + at.get("mine.a", 0.0) * ONE + at.get("mine.a", 0.0) ** 2 * TWO)
+    (column,) = signature(sight_of(predictor, SINGLE), Model(name="m"), spec_of(AMPLITUDE))
+    np.testing.assert_allclose(column.parts[0], ONE, rtol=1e-12)
+    assert column.step == pytest.approx(0.05)
+
+
+def test_a_derivative_in_the_square_is_finite_where_that_in_the_value_is_zero() -> None:
+    """A width counts by its square: base + w^2 one has the slope one by w^2, at off and one-sided."""
+    width = EffectParameter(
+        name="w_um", description="", unit="um", lower=0.0, upper=5.0, off=0.0, score_variable="square", one_sided=True
+    )
+    predictor = Pretended(lambda at: BASE + at.get("mine.w_um", 0.0) ** 2 * ONE)
+    (column,) = signature(sight_of(predictor, SINGLE), Model(name="m"), spec_of(width))
+    np.testing.assert_allclose(column.parts[0], ONE, rtol=1e-9)
+
+
+def test_a_model_that_has_the_effect_is_moved_from_there() -> None:
+    """The slope of a^2 at a = 0.2 is 0.4, and other values of the effect stay."""
+    predictor = Pretended(lambda at: BASE + at.get("mine.a", 0.0) ** 2 * ONE)
+    spec = spec_of(AMPLITUDE)
+    model = with_effect(Model(name="m"), applied_to(spec, {"a": 0.2}))
+    (column,) = signature(sight_of(predictor, SINGLE), model, spec)
+    np.testing.assert_allclose(column.parts[0], 0.4 * ONE, rtol=1e-9)
+
+
+def test_a_parameter_per_chip_has_a_column_for_each_chip_in_the_views_of_such_modules() -> None:
+    """Four chips, four columns; the single chip's image is not asked for and its part is 0."""
+    gain = EffectParameter(name="gain", description="", lower=-0.5, upper=0.5, off=0.0, per_chip=True)
+    weights = np.arange(1.0, 5.0)
+    predictor = Pretended(lambda at: BASE + weights @ np.array(at.get("mine.gain", (0.0,) * 4)) * ONE)
+    columns = signature(sight_of(predictor, SINGLE, ARRAY), Model(name="m"), spec_of(gain))
+    assert [column.chip for column in columns] == [0, 1, 2, 3]
+    for weight, column in zip(weights, columns, strict=True):
+        assert not column.parts[0].any()
+        np.testing.assert_allclose(column.parts[1], weight * ONE, rtol=1e-9)
+
+
+def test_the_same_model_is_asked_for_once_and_what_is_beyond_the_twin_is_traced() -> None:
+    """Base and moved models are remembered; an effect beyond the twin has an anchor with histories at each."""
+    predictor = Pretended(lambda at: BASE + at.get("mine.a", 0.0) * ONE)
+    sight = sight_of(predictor, SINGLE)
+    for _ in range(2):
+        signature(sight, Model(name="m"), spec_of(AMPLITUDE))
+    assert predictor.asked == 3
+    assert {anchor.histories for anchor in predictor.anchors} == {0}
+    signature(sight, Model(name="m"), spec_of(AMPLITUDE, twin=False))
+    assert [anchor.histories > 0 and anchor.seed for anchor in predictor.anchors[3:]] == [1, 1, 1]
+    assert {anchor.model.sha256 for anchor in predictor.anchors[3:]} == {
+        with_effect(Model(name="m"), applied_to(spec_of(AMPLITUDE), {"a": a})).sha256 for a in (0.05, -0.05)
+    } | {Model(name="m").sha256}
+
+
+def test_projection_takes_out_what_is_taken_and_only_that() -> None:
+    """A column in the span of what is taken becomes 0; one across stays; noise of the derivative is no remainder."""
+    predictor = Pretended(lambda at: BASE + at.get("mine.a", 0.0) * ONE)
+    columns = signature(sight_of(predictor, SINGLE), Model(name="m"), spec_of(AMPLITUDE))
+    used = np.ones((SIDE, SIDE), bool)
+    white = Whitening((used,), (np.full((SIDE, SIDE), 2.0),), ())
+    along = ONE.ravel() / np.linalg.norm(ONE)
+    across = TWO.ravel() - along * (along @ TWO.ravel())
+    across /= np.linalg.norm(across)
+    assert not projected(columns, Projection(white, (3.0,), (), along[:, None])).any()
+    np.testing.assert_allclose(
+        projected(columns, Projection(white, (3.0,), (), across[:, None]))[0], 6.0 * ONE.ravel()
+    )
+    assert projected([], Projection(white, (3.0,), (), along[:, None])).shape == (0, SIDE * SIDE)
+
+
+def test_cosines_of_one_column_are_those_of_vectors_and_of_several_those_of_their_span() -> None:
+    """An effect of two columns is the same as any combination of them."""
+    x, y, z = np.eye(3)
+    found = cosines(
+        {"x": x[None], "tilted": (x + y)[None], "both": np.array([x, y]), "z": z[None], "no": 0 * x[None]}
+    )
+    np.testing.assert_allclose(found[0], [1.0, np.sqrt(0.5), 1.0, 0.0, 0.0], atol=1e-12)
+    np.testing.assert_allclose(found[2, 1], 1.0)
+    np.testing.assert_array_equal(found, found.T)
+
+
+def test_groups_are_chains_of_likeness() -> None:
+    """a is like b and b like c: one group, though a and c are not; d is alone."""
+    cosine = np.array([[1.0, 0.95, 0.5, 0.1], [0.95, 1.0, 0.95, 0.1], [0.5, 0.95, 1.0, 0.1], [0.1, 0.1, 0.1, 1.0]])
+    assert groups_of(["a", "b", "c", "d"], cosine, 0.9) == [["a", "b", "c"], ["d"]]
+
+
+def test_values_off_typical_and_of_shapes() -> None:
+    """Off values, a third of the range, every point of the shape grid; what is pasted into a model file."""
+    spec = EffectSpec(
+        name="mine", stage="detector", description="", source_sha256="a" * 64,
+        parameters=(
+            EffectParameter(name="w_um", description="", unit="um", lower=0.0, upper=30.0, off=0.0),
+            EffectParameter(name="length_um", description="", unit="um", lower=1, upper=9, shape_grid=(2, 4, 8)),
+            EffectParameter(name="law", description="", choices=("flat", "round")),
+        ),
+    )  # fmt: skip
+    assert off_values(spec) == {"w_um": 0.0, "length_um": 4.0, "law": "round"}
+    assert typical(spec) == {"w_um": 10.0, "length_um": 4.0, "law": "round"}
+    assert far_end(spec.parameters[0]) == 30.0
+    assert [(one["length_um"], one["law"]) for one in shapes_of(spec)] == [
+        (4.0, "round"), (2.0, "round"), (8.0, "round"), (4.0, "flat"),
+    ]  # fmt: skip
+    text = stanza(applied_to(spec, typical(spec)))
+    assert text.splitlines()[:4] == [
+        "[[effects]]",
+        'name = "mine"',
+        f'source_sha256 = "{"a" * 64}"',
+        "[effects.parameters]",
+    ]

@@ -1,0 +1,42 @@
+"""Pictures of effects: every kind is drawn, the page of cosines loads nothing and says its groups."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from viewer.effects import draw, draw_confusion, page_of
+
+MAP = {
+    "ground": "six example images", "names": ["a_like", "b_like", "alone"], "alike": 0.9, "failed": {},
+    "cosines": [[1.0, 0.97, 0.1], [0.97, 1.0, 0.2], [0.1, 0.2, 1.0]], "imitated": ["gone"],
+    "sigma": {"a_like": 12.3, "b_like": 4.5, "alone": 6.7}, "groups": [["a_like", "b_like"], ["alone"]],
+}  # fmt: skip
+
+
+def test_an_image_and_a_curve_are_drawn(tmp_path: Path) -> None:
+    """A PNG each."""
+    base = np.outer(np.hanning(9), np.hanning(9)) + 0.1
+    axis = np.linspace(-100.0, 100.0, 9)
+    facts = {"effect": "mine", "formula": "E", "values": {"a": 0.1, "gain": [0.1, -0.1], "law": "flat"}}
+    document: dict[str, Any] = facts | {"kind": "image", "rms_percent": 1.0, "mean_percent": 0.1}
+    draw(document, {"base": base, "with": 1.1 * base, "x_um": axis, "y_um": axis}, tmp_path / "image.png")
+    curves = {f"{name}/{which}": np.ones(5) for name in ("R", "T", "psi", "delta") for which in ("base", "with")}
+    draw(facts | {"kind": "curve"}, curves | {"wavelength_nm": np.arange(5.0)}, tmp_path / "curve.png")
+    for name in ("image.png", "curve.png"):
+        assert (tmp_path / name).read_bytes()[:4] == b"\x89PNG"
+
+
+def test_the_page_of_cosines_has_groups_and_map(tmp_path: Path) -> None:
+    """The same document gives the same bytes; no script runs."""
+    document = {"model": "paper", "maps": [MAP]}
+    page = page_of(document)
+    assert page == page_of(document)
+    assert "a_like, b_like" in page
+    assert "Wholly imitated by calibration: gone" in page
+    assert "<script" not in page
+    draw_confusion(document, {}, tmp_path / "map.png")
+    draw_confusion(document, {}, tmp_path / "map.html")
+    assert (tmp_path / "map.html").read_text(encoding="utf-8") == page

@@ -1,0 +1,89 @@
+"""The candidates of a diagnosis: every effect at off, in each of its shapes, as whitened columns at a fit."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from luxloop.effect import EffectSpec, Value
+from luxloop.model import Model
+from validation.diagnose.score import Candidate
+from validation.effects.known import acting, applied, off_values, shapes_of, with_effect
+from validation.effects.signatures import Column, Projection, Sight, signature
+from validation.fit import Fit
+from validation.fit.problem import Problem, sensor_of, view_of
+from validation.prediction import Predictor
+
+Real = NDArray[np.float64]
+
+
+@dataclass(eq=False)
+class FitSight(Sight):
+    """What a fit sees: its cameras where it found them, its curves with its films."""
+
+    problem: Problem | None = None
+    others: Mapping[str, float] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, fit: Fit, predictor: Predictor, effects: Sequence[EffectSpec], seed: int = 1) -> FitSight:
+        """About a fit."""
+        by_name = fit.problem.unknowns.named(fit.values)
+        views = [
+            replace(view_of(image, fit.poses[image.shot.id]), sensor=sensor_of(image, by_name))
+            for image in fit.problem.images
+        ]
+        beyond = frozenset(one.name for one in effects if not one.twin)
+        others = {name: by_name[name] for name in fit.problem.unknowns.other_paths}
+        return cls(predictor, views, (), beyond, seed=seed, problem=fit.problem, others=others)
+
+    def _curves(self, model: Model) -> Iterator[Real]:
+        if self.problem is not None and self.problem.curves and self.problem.predict_curves is not None:
+            found = self.problem.predict_curves(model, self.problem.curves, (), self.others)
+            yield from (one.value for one in found)
+
+
+def candidates_of(
+    fit: Fit, effects: Sequence[EffectSpec], sight: Sight, heard: Callable[[float, str], None] = lambda *_: None
+) -> list[Candidate]:
+    """All candidates of these effects; an effect that the data's films or modules refuse is left out.
+
+    Raises RemoteError for what a worker refuses otherwise.
+    """
+    projection, found = Projection.of(fit), list[Candidate]()
+    for number, spec in enumerate(effects):
+        heard(number / len(effects), spec.name)
+        for shape in shapes_of(spec):
+            found += _of_shape(fit, spec, shape, sight, projection)
+    return found
+
+
+def _of_shape(
+    fit: Fit, spec: EffectSpec, shape: dict[str, Value], sight: Sight, projection: Projection
+) -> Iterator[Candidate]:
+    words = tuple(shape.items())
+    if not acting(spec):
+        yield from _switches(fit, spec, shape, sight, projection)
+        return
+    columns = signature(sight, fit.model, spec, shape)
+    for one in acting(spec):
+        own = [projection.rows(column) for column in columns if column.parameter == one.name]
+        if own:
+            yield Candidate(spec, one, words, np.array(own))
+
+
+def _switches(
+    fit: Fit, spec: EffectSpec, shape: dict[str, Value], sight: Sight, projection: Projection
+) -> Iterator[Candidate]:
+    """The way from the model as it is to each other word, or value, of a parameter that has no slope at off."""
+    for one in spec.parameters:
+        others: Sequence[Value] = [word for word in one.choices if word != one.off] if one.off else [shape[one.name]]
+        for value in others:
+            values = off_values(spec, shape) | {one.name: value}
+            model = with_effect(fit.model, applied(spec, values))
+            there, here = (sight.parts(at, not spec.twin) for at in (model, fit.model))
+            parts = tuple(a - b for a, b in zip(there, here, strict=True))
+            column = Column(spec.name, one.name, values, None, 1.0, parts)
+            yield Candidate(spec, one, tuple(values.items()), projection.rows(column)[None], is_switch=True)

@@ -1,0 +1,137 @@
+"""A diagnosis as plain values: what `diagnose --json` prints, pages draw and journals keep."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from luxloop import __version__
+from validation.contrasts.structure import Structure
+from validation.diagnose.diagnosis import Diagnosis, Step, limits
+from validation.diagnose.next_measurement import Proposal
+from validation.diagnose.verdict import Explanation
+
+REGIONS = 8
+
+
+def document(found: Diagnosis, proposals: Sequence[Proposal], seed: int) -> dict[str, Any]:
+    """Of the whole diagnosis; of its first round in detail, of the others what they added."""
+    first = found.steps[0]
+    return {
+        "verdict": found.verdict.word,
+        "sentence": found.verdict.sentence,
+        "structure": structure_document(first.ground.structure),
+        "effects": [effect_document(first, one) for one in ranked(first)],
+        "scores": [
+            {
+                "name": one.name, "stage": one.best.candidate.effect.stage, "z": one.best.z, "p": one.p,
+                "chi2_drop": one.best.drop, "size": one.best.size, "error": one.best.error,
+                "score_variable": one.best.candidate.parameter.score_variable,
+                "parameter": one.best.candidate.parameter.name, "left": one.best.left,
+            }
+            for one in first.scores.effects
+        ],
+        "scores_p": first.scores.p,
+        "untestable": list(first.scores.untestable),
+        "set": list(first.verdict.set),
+        "groups": [list(group) for group in first.confounding.groups if len(group) > 1],
+        "confounding": {
+            "names": [first.confounding.names[k] for k in first.confounding.order],
+            "cosines": [
+                [float(first.confounding.cosines[i, j]) for j in first.confounding.order]
+                for i in first.confounding.order
+            ],
+        },
+        "added": [
+            {"name": one.name, "size": one.size, "p_left": one.p_left, "share": one.share.value}
+            for one in found.added
+        ],
+        "next_measurement": _next(proposals),
+        "candidates": [one.document() for one in proposals],
+        "limits": [
+            {"name": name, "parameter": parameter, "value": value, "unit": unit}
+            for name, parameter, value, unit in limits(first.scores)
+        ],
+        "known": found.known,
+        "shots": [
+            {
+                "id": image.shot.id, "kind": "image", "sample": image.sample.id, "pixel_um": image.pixel_um,
+                "dbr_pairs": image.sample.dbr_pairs, "centre_px": list(image.centre_px),
+            }
+            for image in first.ground.fit.problem.images
+        ],
+        "parameters": parameters_document(found),
+        "seed": seed,
+        "versions": {"luxloop": __version__},
+    }  # fmt: skip
+
+
+def structure_document(found: Structure) -> dict[str, Any]:
+    """What is left before any effect is added, and where."""
+    return {
+        "p": found.p, "p_text": found.p_text, "z": found.z, "statistic": found.statistic,
+        "where": [
+            {"shot": one.shot or "all images", "family": one.family, "region": one.words, "z": one.z}
+            for one in found.where[:REGIONS]
+        ],
+    }  # fmt: skip
+
+
+def ranked(step: Step) -> list[Explanation]:
+    """Effects that were added, those that may be first."""
+    return sorted(step.explanations, key=lambda one: (not one.plausible, -one.drop))
+
+
+def effect_document(step: Step, one: Explanation) -> dict[str, Any]:
+    """What an effect came to."""
+    score = step.scores.of(one.name)
+    spec = score.best.candidate.effect if score is not None else None
+    held = one.held_out
+    before, after = one.held_out_percent or (None, None)
+    return {
+        "name": one.name,
+        "stage": spec.stage if spec is not None else "",
+        "size": {one.parameter: {"value": one.value, "error": one.error, "unit": one.unit}},
+        "shape": dict(score.best.candidate.shape) if score is not None else {},
+        "chi2_drop": one.drop,
+        "explained_share": one.share.value,
+        "explained_share_error": one.share.error,
+        "held_out_before": before,
+        "held_out_after": after,
+        "held_out_density_change": None if held is None else held.value,
+        "held_out_density_error": None if held is None else held.error,
+        "log_evidence": one.log_evidence,
+        "plausible": one.plausible,
+        "p_left": one.p_left,
+        "sigma": one.sigma,
+        "sigma_rival": one.sigma_rival,
+        "group": [name for name in step.confounding.group_of(one.name) if name != one.name],
+    }
+
+
+def parameters_document(found: Diagnosis) -> list[dict[str, Any]]:
+    """The model's own parameters without any effect and with the best one: where they move back to."""
+    first = found.steps[0]
+    fit = first.ground.fit
+    best = next((one for one in first.refits if one.candidate.effect.name in first.verdict.set[:1]), None)
+    rows = []
+    for path in fit.problem.unknowns.model_paths:
+        limits_at = fit.model.fit[path]
+        row = {
+            "path": path, "value": fit.value(path), "error": fit.error(path), "at_limit": path in fit.at_limit,
+            "prior_mean": limits_at.prior_mean, "prior_sd": limits_at.prior_sd, "with": None, "with_error": None,
+        }  # fmt: skip
+        if best is not None and best.fit is not None:
+            row |= {"with": best.fit.value(path), "with_error": best.fit.error(path)}
+        rows.append(row)
+    return rows
+
+
+def _next(proposals: Sequence[Proposal]) -> dict[str, Any] | None:
+    if not proposals:
+        return None
+    best = proposals[0]
+    return {
+        "sample": best.sample.model_dump(mode="json", exclude_defaults=True), "words": best.words,
+        "expected_sigma": best.expected_sigma, "now_sigma": best.now_sigma, "stanza": best.document()["stanza"],
+    }  # fmt: skip

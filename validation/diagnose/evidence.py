@@ -1,0 +1,32 @@
+"""The logarithm of the Bayes factor of one more effect against none, by Laplace's approximation.
+
+The size is as likely anywhere in the catalogue's range of the parameter (one side of off where only one exists); a
+size that the data know to +- e within a range R costs ln(R / (sqrt(2 pi) e)). Of a group the spread of its members is
+the one unknown: integrated over, with its members normal about off.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Real = NDArray[np.float64]
+
+
+def log_evidence(drop: float, error: float, lower: float, upper: float) -> float:
+    """Of a single effect: chi2 falls by `drop`, its parameter is known to +- `error` within lower to upper."""
+    return 0.5 * drop - float(np.log((upper - lower) / (np.sqrt(2.0 * np.pi) * error)))
+
+
+def group_log_evidence(products: Real, gram: Real, largest: float, points: int = 60) -> float:
+    """Of a group: products (member,) of its columns with the residual, and of its columns with each other.
+
+    Members are normal with a spread s; s is as likely anywhere from 0 to `largest`.
+    """
+    size, axes = np.linalg.eigh(gram)
+    size, along = np.maximum(size, 0.0), axes.T @ products
+    spreads = largest * (np.arange(points) + 0.5) / points
+    gain = 1.0 + np.outer(spreads**2, size)
+    logs = 0.5 * np.sum(spreads[:, None] ** 2 * along**2 / gain, axis=1) - 0.5 * np.sum(np.log(gain), axis=1)
+    peak = float(logs.max())
+    return peak + float(np.log(np.mean(np.exp(logs - peak))))

@@ -1,0 +1,171 @@
+"""The error in images that a fit has not seen: all shots of one sample are left out in turn, never random pixels.
+
+    fold     the model's parameters from the other samples, on the linear model at the fit
+    there    gain, offset, place and turn of the left-out images are fitted in them, nothing else
+    error    rms of what is left, and the mean logarithm of the density with which the fold predicts a pixel
+
+Pixels of one image say the same twice, so a random split "improves" with every parameter. Noise common to several
+images (a fixed pattern) counts as each image's own here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from validation.fit import Fit
+from validation.fit.whitening import Whitening
+
+Real = NDArray[np.float64]
+Rows = NDArray[np.intp]
+
+BLOCK_PX = 16
+
+
+@dataclass(frozen=True, eq=False)
+class HeldOut:
+    """What a model leaves in the data that it was not fitted to, fold after fold."""
+
+    folds: tuple[str, ...]
+    residual: Real
+    """(row,), in standard deviations of each row's own noise."""
+    rows: Rows
+    """Their numbers among all rows."""
+    rms_percent: float
+    """Of the mean signal (of a curve: of its mean value), all folds together."""
+    floor_percent: float
+    """The same of noise alone."""
+
+    @property
+    def density(self) -> float:
+        """Mean log predictive density per value, less that of perfect predictions: 0 is best, on average -1/2."""
+        return -0.5 * float(np.mean(self.residual**2))
+
+
+@dataclass(frozen=True)
+class Change:
+    """How the mean log predictive density per value changes from one model to another."""
+
+    value: float
+    error: float
+
+    @property
+    def falls(self) -> bool:
+        """Whether the error falls, by more than twice its own error."""
+        return self.value > 2.0 * self.error
+
+
+def held_out(fit: Fit, folds: Sequence[tuple[str, Rows]]) -> HeldOut:
+    """The errors of a fit in each fold (name, rows left out). ValueError without folds."""
+    if not folds:
+        raise ValueError("held-out error without folds")
+    plain = _plain(fit)
+    residual, columns, noise, level = plain
+    left, order = [], []
+    shared = np.array([not _is_nuisance(name, fit) for name in fit.names])
+    for _, rows in folds:
+        kept = np.setdiff1d(np.arange(len(residual)), rows)
+        change = _solved(fit, columns[:, kept], residual[kept], fit.active)
+        there = residual[rows] - (change * shared) @ columns[:, rows]
+        own = columns[:, rows][fit.active & ~shared]
+        own = own[np.sum(own**2, axis=1) > 0.0]
+        left.append(there - own.T @ np.linalg.lstsq(own.T, there, rcond=None)[0] if len(own) else there)
+        order.append(rows)
+    rows, after = np.concatenate(order), np.concatenate(left)
+    return HeldOut(
+        tuple(name for name, _ in folds),
+        after,
+        rows,
+        100.0 * float(np.sqrt(np.mean((after * noise[rows]) ** 2))) / level,
+        100.0 * float(np.sqrt(np.mean(noise[rows] ** 2))) / level,
+    )
+
+
+def change(before: HeldOut, after: HeldOut) -> Change:
+    """From one model to another on the same folds.
+
+    Where the second is right, its residual is noise y and the first's y + d: the sum of (d y + d^2 / 2) has the
+    standard deviation |d|.
+    """
+    if not np.array_equal(before.rows, after.rows):
+        raise ValueError("two models are compared on the same folds")
+    count = len(after.residual)
+    difference = before.residual - after.residual
+    return Change(after.density - before.density, float(np.linalg.norm(difference)) / count)
+
+
+def folds_by_sample(fit: Fit) -> list[tuple[str, Rows]]:
+    """All rows of each sample or film; fewer than two samples: no folds."""
+    owners = _owners(fit)
+    names = list(dict.fromkeys(owners))
+    rows = np.array([names.index(owner) for owner in owners])
+    return [(name, np.flatnonzero(rows == k)) for k, name in enumerate(names)] if len(names) > 1 else []
+
+
+def folds_by_blocks(fit: Fit) -> list[tuple[str, Rows]]:
+    """Two halves, blocks of 16 pixels in turn: for effects that every sample has its own of."""
+    halves = []
+    for image in fit.problem.images:
+        row, column = np.nonzero(image.used)
+        halves.append((row // BLOCK_PX + column // BLOCK_PX) % 2)
+    halves += [np.arange(len(curve.value)) // BLOCK_PX % 2 for curve in fit.problem.curves]
+    side = np.concatenate(halves)
+    return [("even blocks", np.flatnonzero(side == 0)), ("odd blocks", np.flatnonzero(side == 1))]
+
+
+def _owners(fit: Fit) -> list[str]:
+    owners: list[str] = []
+    for image in fit.problem.images:
+        owners += [image.sample.id] * int(image.used.sum())
+    for curve in fit.problem.curves:
+        source = getattr(curve.source, "film", None) or getattr(curve.source, "sample", None)
+        owners += [getattr(source, "id", curve.id)] * len(curve.value)
+    return owners
+
+
+def _is_nuisance(name: str, fit: Fit) -> bool:
+    """Whether a parameter is one of a single shot."""
+    shots = [image.shot.id for image in fit.problem.images] + [curve.id for curve in fit.problem.curves]
+    return any(name.startswith(f"{shot}.") for shot in shots)
+
+
+def _plain(fit: Fit) -> tuple[Real, Real, Real, float]:
+    """Residual and columns by each row's own noise alone; that noise in DN (or a curve's unit); the mean level.
+
+    The fit's own rows cannot be used: whitening mixes the images of one camera.
+    """
+    images = fit.problem.images
+    weights, levels = [], []
+    for image, signal in zip(images, fit.signals_dn, strict=True):
+        variance = image.variance_dn2(signal) + (image.prnu * signal) ** 2
+        weights.append(np.where(image.used, 1.0 / np.sqrt(np.where(image.used, variance, 1.0)), 0.0))
+        levels.append(float(np.mean(signal[image.used])))
+    white = Whitening(
+        tuple(image.used for image in images), tuple(weights), (), curve_sigma=fit.whitening.curve_sigma
+    )
+    at = fit.problem.evaluate(fit.values)
+    residual, columns = at.residual(white), at.columns(white)
+    sigma = [1.0 / w[image.used] for w, image in zip(weights, images, strict=True)]
+    noise = np.concatenate([*sigma, *fit.whitening.curve_sigma])
+    levels += [float(np.mean(np.abs(curve.value))) for curve in fit.problem.curves]
+    return residual, columns, noise, float(np.mean(levels))
+
+
+def _solved(fit: Fit, columns: Real, residual: Real, active: NDArray[np.bool_]) -> Real:
+    """The change of the active parameters that the rows ask for, priors held."""
+    change = np.zeros(len(columns))
+    length = np.sqrt(np.sum(columns**2, axis=1))
+    seen = active & (length > 0.0)
+    if not seen.any():
+        return change
+    weight = 1.0 / np.array([parameter.prior_sd for parameter in fit.problem.unknowns.parameters])
+    pull = np.array([p.prior_mean for p in fit.problem.unknowns.parameters]) - fit.values
+    with_prior = seen & (weight > 0.0)
+    priors = np.diag(weight / np.where(seen, length, 1.0))[with_prior][:, seen]
+    rows = np.vstack([(columns[seen] / length[seen, None]).T, priors])
+    target = np.concatenate([residual, (pull * weight)[with_prior]])
+    change[seen] = np.linalg.lstsq(rows, target, rcond=1e-10)[0] / length[seen]
+    return change

@@ -1,0 +1,109 @@
+"""The ladder: errors of one version of a model after another, fitted and held out, down to the noise."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from luxloop.errors import InputError
+from luxloop.model import Model
+from luxloop.model_file import parse_toml
+from validation.diagnose.diagnosis import Ground
+from validation.diagnose.held_out import folds_by_sample, held_out
+from validation.model_versions import Version
+
+NAMES = {"fitted_percent": "fitted %", "held_out_percent": "held-out %", "noise_percent": "noise %", "p": "p"}
+"""Of the numbers of a rung: how a version's errors call them."""
+BEFORE = "before: "
+"""Leads the errors of the model that a version was made from, where that had none of its own."""
+
+
+@dataclass(frozen=True)
+class Rung:
+    """What a model leaves: rms errors in percent of the mean signal, p of structure."""
+
+    fitted_percent: float
+    held_out_percent: float | None
+    """None: there is one sample only."""
+    noise_percent: float
+    p: float
+
+    @classmethod
+    def of(cls, ground: Ground) -> Rung:
+        """Of a fit and its structure."""
+        fit = ground.fit
+        squares, noise, level, count = 0.0, 0.0, 0.0, 0
+        for image, signal in zip(fit.problem.images, fit.signals_dn, strict=True):
+            used = image.used
+            squares += float(np.sum((image.signal_dn - signal)[used] ** 2))
+            noise += float(np.sum(image.variance_dn2(signal)[used] + (image.prnu * signal[used]) ** 2))
+            level, count = level + float(np.sum(signal[used])), count + int(used.sum())
+        if not count:  # spectra alone: of their mean value
+            rows = fit.residual * np.concatenate([*fit.whitening.curve_sigma])
+            squares, count = float(rows @ rows), len(rows)
+            noise = float(sum(np.sum(sigma**2) for sigma in fit.whitening.curve_sigma))
+            level = float(sum(np.sum(np.abs(curve.value)) for curve in fit.problem.curves))
+        percent = 100.0 * np.sqrt(count) / level
+        folds = folds_by_sample(fit)
+        held = held_out(fit, folds).rms_percent if folds else None
+        return cls(float(percent * np.sqrt(squares)), held, float(percent * np.sqrt(noise)), ground.structure.p)
+
+    def errors(self, lead: str = "") -> dict[str, float]:
+        """As a version keeps them."""
+        return {
+            f"{lead}{words}": value for name, words in NAMES.items() if (value := getattr(self, name)) is not None
+        }
+
+
+def ladder(known: Sequence[Version], texts: Mapping[int, str]) -> dict[str, Any]:
+    """The rungs of all versions that have errors, and the parameters that moved, as plain values.
+
+    Raises InputError where no version has errors.
+    """
+    rows, models = [], {}
+    for number, version in enumerate(known):
+        following = known[number + 1].errors if number + 1 < len(known) else {}
+        numbers = _numbers(version.errors) or _numbers(following, BEFORE)
+        if numbers is None:
+            continue
+        model = _model(texts[version.number])
+        models[version.number] = model
+        effects = [effect.name for effect in model.effects] if model is not None else []
+        rows.append({"version": version.number, "command": version.command, "effects": effects, **numbers})
+    if not rows:
+        mend = "luxloop add and luxloop calibrate keep what they find"
+        raise InputError("--model", "no errors", "a model file with a version that was fitted", mend)
+    return {"rungs": rows, "parameters": _moved(models)}
+
+
+def _numbers(errors: Mapping[str, float], lead: str = "") -> dict[str, float | None] | None:
+    found = {name: errors.get(f"{lead}{words}") for name, words in NAMES.items()}
+    return found if found["fitted_percent"] is not None else None
+
+
+def _model(text: str) -> Model | None:
+    try:
+        return parse_toml(text, "")
+    except InputError:
+        return None  # kept as it was, though it is no model
+
+
+def _moved(models: Mapping[int, Model | None]) -> list[dict[str, Any]]:
+    """Parameters of the model that differ between versions, with their priors."""
+    known = [model for model in models.values() if model is not None]
+    paths = list(dict.fromkeys(path for model in known for path in model.fit))
+    rows = []
+    for path in paths:
+        values = [None if model is None else model.leaves().get(path) for model in models.values()]
+        if len({value for value in values if value is not None}) < 2:
+            continue
+        fit = next(model.fit[path] for model in known if path in model.fit)
+        prior = "" if fit.prior_mean is None else f"{fit.prior_mean:g} +- {fit.prior_sd:g}"
+        texts = [
+            "-" if value is None else f"{value:.4g}" if isinstance(value, float) else str(value) for value in values
+        ]
+        rows.append({"path": path, "prior": prior, "values": texts})
+    return rows

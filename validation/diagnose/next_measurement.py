@@ -1,0 +1,186 @@
+"""The measurement that would tell rivals apart: what is expected of candidate images, before one is taken.
+
+Candidates are samples like those that were measured, at another distance, with other pairs, single or as an array,
+at four times the exposure, and a repeat. Of each the columns are predicted by the twin, its noise by the camera that
+took the others; `separation` says how many sigma would then lie between the rivals.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from luxloop.errors import InputError, RemoteError
+from luxloop.model import Model
+from validation.dataset.manifest import Sample
+from validation.diagnose.refit import Refitted
+from validation.diagnose.separation import Rows, sigma_left
+from validation.effects.known import applied, off_values, with_effect
+from validation.effects.signatures import Sight
+from validation.fit import Fit
+from validation.fit.problem import view_of
+from validation.measured import MeasuredImage
+from validation.prediction import POSE_COLUMNS, Pose, Predictor
+
+Real = NDArray[np.float64]
+
+NEAR_UM = 100.0
+"""Another distance: at it the lobe of light is seen at other angles on the same pixels."""
+MANY_PAIRS = 9.5
+EXPOSURES = 4.0
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """A measurement, and what it would bring."""
+
+    words: str
+    sample: Sample
+    exposure_ratio: float
+    expected_sigma: float
+    now_sigma: float
+
+    def document(self) -> dict[str, Any]:
+        """As plain values, with the stanza for the manifest."""
+        return {
+            "words": self.words, "sample": self.sample.model_dump(mode="json", exclude_defaults=True),
+            "exposure_ratio": self.exposure_ratio, "expected_sigma": self.expected_sigma,
+            "now_sigma": self.now_sigma, "stanza": stanza(self.sample),
+        }  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Rivals:
+    """Effects at their fitted sizes on one fit: what a further image is to tell apart."""
+
+    fit: Fit
+    refits: Sequence[Refitted]
+    predictor: Predictor
+
+    def proposals(self, heard: Callable[[float, str], None] = lambda *_: None) -> list[Proposal]:
+        """All candidates, the best first. Empty where no rival has a size of its own."""
+        paths = self.fit.problem.unknowns.model_paths
+        usable = [one for one in self.refits if one.model is not None]
+        if len(usable) < 2 or not self.fit.problem.images:
+            return []
+        here = self._here(usable)
+        prior_sd = np.array([p.prior_sd for p in self.fit.problem.unknowns.parameters if p.name in paths])
+        now = _separation([here], prior_sd, usable)
+        found = []
+        candidates = list(candidates_of([image.sample for image in self.fit.problem.images]))
+        for number, (words, sample, exposure) in enumerate(candidates):
+            heard(number / len(candidates), words)
+            try:
+                there = self._there(sample, exposure, usable, paths)
+            except (InputError, RemoteError):  # a sample that cannot be built is no proposal
+                continue
+            found.append(Proposal(words, sample, exposure, _separation([here, there], prior_sd, usable), now))
+        return sorted(found, key=lambda one: -one.expected_sigma)
+
+    def _here(self, usable: Sequence[Refitted]) -> Rows:
+        """The columns on the rows that were measured."""
+        fit = self.fit
+        own = [name in fit.problem.unknowns.model_paths for name in fit.names]
+        sight = Sight(self.predictor, [view_of(one, fit.poses[one.shot.id]) for one in fit.problem.images])
+        gains = [fit.gains[one.shot.id] for one in fit.problem.images]
+        effects = {}
+        for one in usable:
+            images = [gain * part for gain, part in zip(gains, self._change(sight, one), strict=True)]
+            effects[one.candidate.effect.name] = fit.whitening.rows(images)
+        count = fit.whitening.count
+        return Rows(fit.columns[own][:, :count], fit.columns[np.logical_not(own)][:, :count], effects)
+
+    def _there(self, sample: Sample, exposure: float, usable: Sequence[Refitted], paths: Sequence[str]) -> Rows:
+        """The columns that an image of a sample would have, with a peak as bright as those that were taken."""
+        fit, like = self.fit, _nearest(self.fit.problem.images, sample)
+        view = replace(view_of(like, Pose()), sample=sample)
+        (found,) = self.predictor.images(fit.model, [view], (*paths, *POSE_COLUMNS))
+        peak_dn = max(float(signal[image.used].max()) for image, signal in _lit(fit))
+        gain = peak_dn / float(found.irradiance_per_mm2.max())
+        signal = gain * found.irradiance_per_mm2
+        sigma = np.sqrt(like.variance_dn2(signal) / exposure + (like.prnu * signal) ** 2)
+        sight = Sight(self.predictor, [view])
+        nuisances = [signal, np.ones_like(signal), *(gain * found.jacobian_per_mm2[name] for name in POSE_COLUMNS)]
+        return Rows(
+            np.array([(gain * found.jacobian_per_mm2[path] / sigma).ravel() for path in paths]).reshape(
+                len(paths), -1
+            ),
+            np.array([(one / sigma).ravel() for one in nuisances]),
+            {one.candidate.effect.name: (gain * self._change(sight, one)[0] / sigma).ravel() for one in usable},
+        )
+
+    def _change(self, sight: Sight, one: Refitted) -> tuple[Real, ...]:
+        """What an effect of its fitted size does to the images of the model without it."""
+        with_it = _at_size(self.fit.model, one)
+        there, here = sight.parts(with_it), sight.parts(self.fit.model)
+        return tuple(a - b for a, b in zip(there, here, strict=True))
+
+
+def candidates_of(samples: Sequence[Sample]) -> Iterator[tuple[str, Sample, float]]:
+    """(words, sample, exposure ratio) of what could be measured next, from what was."""
+    seen = set()
+    arrays = [one for one in samples if one.layout == "array"] or list(samples)
+    pairs = sorted({one.dbr_pairs for one in samples} | {0.0, MANY_PAIRS})
+    for base in (arrays[0], next((one for one in samples if one.layout == "single"), arrays[0])):
+        for distance in dict.fromkeys((base.distance_um, NEAR_UM)):
+            for count in pairs:
+                words = f"{base.layout}, {f'{count:g} pairs' if count else 'no DBR'}, D = {distance / 1000.0:.2f} mm"
+                name = f"next-{base.layout}-{count:g}-{distance:g}".replace(".", "_")
+                sample = base.model_copy(update={"id": name, "dbr_pairs": count, "distance_um": distance})
+                repeat = any(_same(sample, one) for one in samples)
+                if (words, repeat) not in seen:
+                    seen.add((words, repeat))
+                    yield (f"{words} (a repeat)" if repeat else words), sample, 1.0
+    base = arrays[0]
+    yield f"{base.id} again at {EXPOSURES:g} times the exposure (or frames)", base, EXPOSURES
+
+
+def next_in_words(proposals: Sequence[Proposal]) -> str:
+    """The sentence that a verdict ends with."""
+    if not proposals:
+        return "No further image of these samples would separate them: measure the camera's own targets first."
+    best = proposals[0]
+    return (
+        f"Take one image: {best.words}: expected separation {best.expected_sigma:.0f} sigma"
+        f" (now {best.now_sigma:.1f})."
+    )
+
+
+def stanza(sample: Sample) -> str:
+    """What to fill into dataset.toml once the image is taken."""
+    lines = ["[[samples]]"]
+    for name, value in sample.model_dump(mode="json", exclude_none=True).items():
+        lines.append(f'{name} = "{value}"' if isinstance(value, str) else f"{name} = {value}")
+    lines += ["", "[[shots]]", f'id = "{sample.id}"', 'kind = "image"', f'sample = "{sample.id}"']
+    return "\n".join([*lines, f'file = "images/{sample.id}.tif"', "exposure_ms = 0.0  # fill in", ""])
+
+
+def _separation(rows: Sequence[Rows], prior_sd: Real, usable: Sequence[Refitted]) -> float:
+    """The least of what is left of the first effect beside each of the others."""
+    first, *others = (one.candidate.effect.name for one in usable)
+    return min(sigma_left(rows, prior_sd, first, [other]) for other in others)
+
+
+def _at_size(model: Model, one: Refitted) -> Model:
+    spec, candidate = one.candidate.effect, one.candidate
+    values = off_values(spec, dict(candidate.shape))
+    if not candidate.is_switch:
+        values[candidate.parameter.name] = one.value
+    return with_effect(model, applied(spec, values))
+
+
+def _same(one: Sample, other: Sample) -> bool:
+    return one.model_copy(update={"id": ""}) == other.model_copy(update={"id": ""})
+
+
+def _nearest(images: Sequence[MeasuredImage], sample: Sample) -> MeasuredImage:
+    """An image of the same layout, whose camera and binning a further one would have."""
+    return next((one for one in images if one.sample.layout == sample.layout), images[0])
+
+
+def _lit(fit: Fit) -> Iterator[tuple[MeasuredImage, Real]]:
+    return zip(fit.problem.images, fit.signals_dn, strict=True)

@@ -1,0 +1,255 @@
+"""Score tests: what each effect would explain of a residual, before it is added.
+
+An effect's column is the derivative of the prediction by its score variable a (the parameter, or its square, where
+that has the slope at off), whitened; p is what the fit's own parameters leave of it, r the residual:
+
+    size = p'r / p'p        error = 1 / |p|        z = p'r / |p|        chi2 drop = z^2
+
+Where something only shapes the effect (a length, a corner), the column is taken at each value of a grid, and the
+largest z counts. An effect on every chip of a module is a group: no single size, but a spread of sizes, tested by the
+energy of all its columns. Noise alone makes scores that are normal with the columns' own cosines, so the chance that
+any effect scores as well is counted in draws from exactly that.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2 as chi2_of
+from scipy.stats import norm
+
+from luxloop.effect import EffectParameter, EffectSpec, Value
+from validation.contrasts.null import Projection
+
+Real = NDArray[np.float64]
+
+DRAWS = 10_000
+VANISHED = 1e-9
+"""Share of a column's square below which the fit's own parameters can do all that it does."""
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """An effect's parameter at off, with the shape it is tried in, and its whitened columns (column, row).
+
+    One column, or for a group one for each of its members.
+    """
+
+    effect: EffectSpec
+    parameter: EffectParameter
+    shape: tuple[tuple[str, Value], ...]
+    columns: Real
+    is_switch: bool = False
+    """Whether it is there or not: its column is the whole way from off to its shape, its size 1."""
+
+    @property
+    def is_group(self) -> bool:
+        """Whether it is a spread of sizes."""
+        return self.parameter.per_chip
+
+    @property
+    def sides(self) -> tuple[bool, bool]:
+        """Whether sizes below and above off exist."""
+        if self.is_switch:
+            return False, True
+        if self.parameter.score_variable == "square":
+            return False, True
+        low, off, high = self.parameter.lower, self.parameter.off, self.parameter.upper
+        if low is None or high is None or not isinstance(off, float):
+            return True, True
+        return low < off, high > off
+
+    @property
+    def key(self) -> str:
+        """Tells it from the same effect in another shape."""
+        shape = ", ".join(f"{name} {value}" for name, value in self.shape)
+        return f"{self.effect.name}.{self.parameter.name}" + (f" ({shape})" if shape else "")
+
+    def value(self, size: float) -> float:
+        """The parameter at a size of its score variable; ValueError for a switch."""
+        if self.is_switch:
+            raise ValueError(f"{self.effect.name} is there or not")
+        if self.parameter.score_variable == "square":
+            return float(np.sqrt(max(size, 0.0)))
+        off = self.parameter.off
+        return size + (off if isinstance(off, float) else 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Score:
+    """What a candidate's column finds in a residual."""
+
+    candidate: Candidate
+    z: float
+    """Signed, of one column; of a group the normal equivalent of its energy."""
+    size: float
+    """Of the score variable; of a group its rms."""
+    error: float
+    left: float
+    """Length of the column after the fit's parameters, over that before: 0 where they do the same."""
+
+    @property
+    def drop(self) -> float:
+        """Of chi2, expected where the effect is added; 0 where it would have to be on a side that does not exist."""
+        below, above = (False, True) if self.candidate.is_group else self.candidate.sides
+        return self.z**2 if (above if self.z > 0.0 else below) else 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class EffectScore:
+    """An effect at its best shape."""
+
+    best: Score
+    p: float
+    """Chance that noise alone makes this effect score as well, over its shapes."""
+
+    @property
+    def name(self) -> str:
+        """Of the effect."""
+        return self.best.candidate.effect.name
+
+
+@dataclass(frozen=True, eq=False)
+class Scores:
+    """All effects, the one that would lower chi2 most first."""
+
+    effects: tuple[EffectScore, ...]
+    p: float
+    """Chance that noise alone makes any of them score as well."""
+    draws: int
+    untestable: tuple[str, ...]
+    """Effects whose columns are nothing beside what is fitted anyway, or nothing at all."""
+
+    def of(self, name: str) -> EffectScore | None:
+        """An effect's, None where it cannot be tested."""
+        return next((one for one in self.effects if one.name == name), None)
+
+
+@dataclass(frozen=True, eq=False)
+class Projected:
+    """The candidates whose columns the fit leaves, and what it leaves of them."""
+
+    candidates: tuple[Candidate, ...]
+    columns: Real
+    """(column, row), of all candidates one after the other."""
+    ends: tuple[int, ...]
+    left: tuple[float, ...]
+    untestable: tuple[str, ...]
+
+    @classmethod
+    def of(cls, candidates: Sequence[Candidate], projection: Projection) -> Projected:
+        """Columns less what the fit's parameters can do."""
+        kept, parts, left, seen = [], [], [], set()
+        for one in candidates:
+            part = one.columns - (one.columns @ projection.data) @ projection.data.T
+            before, after = float(np.sum(one.columns**2)), float(np.sum(part**2))
+            if after > VANISHED * before > 0.0:
+                kept.append(one)
+                parts.append(part)
+                left.append(float(np.sqrt(after / before)))
+                seen.add(one.effect.name)
+        names = dict.fromkeys(one.effect.name for one in candidates)
+        rows = len(projection.data)
+        return cls(
+            tuple(kept),
+            np.concatenate(parts) if parts else np.zeros((0, rows)),
+            tuple(np.cumsum([len(part) for part in parts]).tolist()),
+            tuple(left),
+            tuple(name for name in names if name not in seen),
+        )
+
+    def slices(self) -> list[slice]:
+        """The columns of each candidate."""
+        return [slice(start, end) for start, end in zip((0, *self.ends), self.ends, strict=False)]
+
+    @cached_property
+    def gram(self) -> Real:
+        """Products of all columns."""
+        return self.columns @ self.columns.T
+
+
+def scores(projected: Projected, residual: Real, scale: float = 1.0, draws: int = DRAWS, seed: int = 1) -> Scores:
+    """The score test of all candidates on a whitened residual; `scale`: of all variances, as the fit found it."""
+    products = projected.columns @ residual / np.sqrt(scale)
+    found = [
+        _score(one, products[part], projected.gram[part, part], left, np.sqrt(scale))
+        for one, part, left in zip(projected.candidates, projected.slices(), projected.left, strict=True)
+    ]
+    drawn = _null(projected, draws, seed)  # (candidate, draw), chi2 drops of one degree of freedom
+    names = list(dict.fromkeys(one.effect.name for one in projected.candidates))
+    effects, normal = [], np.zeros((len(names), draws))
+    for number, name in enumerate(names):
+        rows = [k for k, one in enumerate(projected.candidates) if one.effect.name == name]
+        best = max((found[k] for k in rows), key=lambda score: score.drop)
+        largest = drawn[rows].max(axis=0)
+        effects.append(EffectScore(best, _p(largest, best.drop, len(rows))))
+        normal[number] = _ranks(largest)
+    smallest = normal.min(axis=0) if names else np.ones(draws)
+    observed = min((one.p for one in effects), default=1.0)
+    p = min(1.0, (1 + int(np.sum(smallest <= observed))) / (1 + draws)) if observed > 1.0 / draws else None
+    if p is None:  # beyond what was drawn: no effect's chance is larger than the sum of all
+        p = min(1.0, len(names) * observed)
+    effects.sort(key=lambda one: -one.best.drop)
+    return Scores(tuple(effects), p, draws, projected.untestable)
+
+
+def _score(one: Candidate, products: Real, gram: Real, left: float, root: float) -> Score:
+    if not one.is_group:
+        length = float(np.sqrt(gram[0, 0]))
+        z = float(products[0]) / length
+        return Score(one, z, z / length * root, root / length, left)
+    z = _group_z(products[:, None], gram)[0]
+    mean = float(np.trace(gram)) / len(gram)
+    spread2 = max(float(products @ products) / len(gram) - mean, 0.0) / (float(np.sum(gram**2)) / len(gram))
+    return Score(one, float(z), float(np.sqrt(spread2)) * root, root / float(np.sqrt(np.sum(gram**2) / mean)), left)
+
+
+def _group_z(products: Real, gram: Real) -> Real:
+    """Normal equivalents (draw,) of the energy of products (member, draw), whose null covariance is `gram`.
+
+    The energy is a sum of chi2 with the gram's eigenvalues as weights; it is taken for a chi2 of the same mean and
+    variance (Welch and Satterthwaite).
+    """
+    mean, variance = float(np.trace(gram)), 2.0 * float(np.sum(gram**2))
+    freedom, factor = 2.0 * mean**2 / variance, variance / (2.0 * mean)
+    return np.asarray(norm.isf(np.exp(_log_sf(np.sum(products**2, axis=0) / factor, freedom))))
+
+
+def _log_sf(value: Real, freedom: float) -> Real:
+    return np.asarray(np.maximum(chi2_of.logsf(value, freedom), -700.0))
+
+
+def _null(projected: Projected, draws: int, seed: int) -> Real:
+    """Chi2 drops (candidate, draw) under noise alone."""
+    random = np.random.default_rng(seed)
+    size, axes = np.linalg.eigh(projected.gram) if len(projected.columns) else (np.zeros(0), np.zeros((0, 0)))
+    products = (axes * np.sqrt(np.maximum(size, 0.0))) @ random.standard_normal((len(size), draws))
+    drops = np.zeros((len(projected.candidates), draws))
+    for k, (one, part) in enumerate(zip(projected.candidates, projected.slices(), strict=True)):
+        gram = projected.gram[part, part]
+        if one.is_group:
+            drops[k] = np.maximum(_group_z(products[part], gram), 0.0) ** 2
+            continue
+        z = products[part][0] / np.sqrt(gram[0, 0])
+        below, above = one.sides
+        drops[k] = np.where(z > 0.0, z**2 * above, z**2 * below)
+    return drops
+
+
+def _p(drawn: Real, drop: float, shapes: int) -> float:
+    """Counted where draws reach, else by the chi2 of one degree of freedom for each shape."""
+    above = int(np.sum(drawn >= drop))
+    if above >= 10 or drop == 0.0:
+        return (1 + above) / (1 + len(drawn))
+    return float(min(1.0, shapes * np.exp(chi2_of.logsf(drop, 1))))
+
+
+def _ranks(values: Real) -> Real:
+    """(1 + how many are as large) / (1 + all), of each value among all."""
+    order = np.sort(values)
+    above = len(values) - np.searchsorted(order, values, side="left")
+    return np.asarray((1.0 + above) / (1.0 + len(values)))

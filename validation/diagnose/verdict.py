@@ -1,0 +1,154 @@
+"""The verdict: one of five sentences, decided by rules that a reader can follow.
+
+    fit_not_trustworthy   the fit itself says so
+    nothing_visible       neither structure nor any effect's score is unlikely, each at half the level
+    none_of_the_known     the best effect explains less than half of the structure, and structure is left
+    cannot_tell_apart     a rival explains nearly as much, and less than 5 sigma would be left of the one beside it
+    one_effect            else
+
+The largest gain always blames somebody; so what decides is the share explained, the error in data that the fit has
+not seen, and whether rivals can be told apart. Chi2 only ranks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from validation.diagnose.confounding import TOLD_APART
+from validation.diagnose.explained import Share
+from validation.diagnose.held_out import Change
+
+Word = Literal["nothing_visible", "one_effect", "cannot_tell_apart", "none_of_the_known", "fit_not_trustworthy"]
+
+LEVEL = 0.01
+HALF = 0.5
+ALIKE = 0.10
+"""Effects that explain within this of the best are in the set."""
+FEW = 3
+"""Rivals and limits that a sentence names."""
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """What one effect came to when it was added and fitted."""
+
+    name: str
+    parameter: str
+    unit: str
+    value: float
+    error: float
+    drop: float
+    """Of chi2."""
+    share: Share
+    held_out: Change | None
+    """None: a held-out test is not possible."""
+    held_out_percent: tuple[float, float] | None
+    """Rms error before and after."""
+    log_evidence: float | None
+    plausible: bool
+    """Inside its range, not at an end of it."""
+    distrust: tuple[str, ...]
+    """Why the fit with it may not be trusted: a parameter that a missing effect drives to its limit stays there."""
+    p_left: float
+    """Of the structure that is left."""
+    sigma: float
+    """Length of its whitened image after what is fitted has been projected out."""
+    sigma_rival: dict[str, float]
+    """The same also after each rival."""
+
+    @property
+    def size(self) -> str:
+        """For people."""
+        return f"{self.parameter} {self.value:.3g} +- {self.error:.2g} {self.unit}".rstrip()
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What is said, and about whom."""
+
+    word: Word
+    sentence: str
+    set: tuple[str, ...] = ()
+    """Effects that explain within 10 % of the best."""
+
+
+def not_trustworthy(reasons: Sequence[str]) -> Verdict:
+    """The fit itself is in doubt."""
+    return Verdict(
+        "fit_not_trustworthy", f"The fit itself is not trustworthy: {'; '.join(reasons)}. Mend this first."
+    )
+
+
+def nothing_visible(limits: Sequence[str]) -> Verdict:
+    """Noise explains everything; `limits`: above which size each effect would have been seen."""
+    seen = f": {', '.join(limits)}" if limits else ": none can be tested with these data"
+    return Verdict(
+        "nothing_visible", f"No missing effect visible. An effect of this kind would have been seen above{seen}."
+    )
+
+
+def is_visible(p_structure: float, p_scores: float, level: float = LEVEL) -> bool:
+    """Whether there is anything to explain; each test has half of the level."""
+    return min(p_structure, p_scores) < level / 2.0
+
+
+def decided(
+    explanations: Sequence[Explanation], known: int, left: str, next_image: str, level: float = LEVEL
+) -> Verdict:
+    """The verdict on what was tried.
+
+    Parameters
+    ----------
+    explanations : of the short list. known : how many effects there are.
+    left : what is left, in words, where nothing known explains it. next_image : what would separate rivals.
+    """
+    usable = sorted((one for one in explanations if one.plausible), key=lambda one: -one.drop)
+    if not usable or _explains_too_little(usable[0], level):
+        most = 100.0 * max((one.share.value for one in explanations), default=0.0)
+        sentence = (
+            f"None of the {known} known effects explains this (best: {max(most, 0.0):.0f} %). What is left: {left}"
+            " Write an effect: luxloop effects new."
+        )
+        return Verdict("none_of_the_known", sentence)
+    best, others = usable[0], usable[1:]
+    if best.distrust and best.p_left >= level / 2.0:  # else another effect may be what drives it there
+        return doubted(best)
+    alike = [one for one in others if _alike(best, one)]
+    names = (best.name, *(one.name for one in alike))
+    rivals = [one for one in alike if best.sigma_rival.get(one.name, best.sigma) < TOLD_APART]
+    if rivals:
+        told = [best.name, *(one.name for one in rivals)]
+        return Verdict("cannot_tell_apart", f"The data cannot tell apart {', '.join(told)}. {next_image}", names)
+    held = "a held-out test is not possible with these data"
+    if best.held_out_percent is not None:
+        before, after = best.held_out_percent
+        held = f"lowers the held-out error from {before:.3g} % to {after:.3g} %"
+    following = f" Next best: {_next_best(others[0])}." if others else ""
+    sentence = (
+        f"One effect explains the misfit: {best.name}, {best.size}."
+        f" It explains {100.0 * best.share.value:.0f} % of the structure and {held}.{following}"
+    )
+    return Verdict("one_effect", sentence, names)
+
+
+def doubted(best: Explanation) -> Verdict:
+    """The fit is in doubt even with the best effect."""
+    return not_trustworthy([f"with {best.name} added, {reason}" for reason in best.distrust])
+
+
+def _explains_too_little(best: Explanation, level: float) -> bool:
+    """Less than half, with its error, while structure is left."""
+    return best.share.decides and best.share.value + best.share.error < HALF and best.p_left < level / 2.0
+
+
+def _alike(best: Explanation, other: Explanation) -> bool:
+    """Whether another effect explains within 10 % of the best, by a share that decides; else by chi2."""
+    if best.share.decides and other.share.decides:
+        return other.share.value > best.share.value - ALIKE
+    return other.drop > (1.0 - 2.0 * ALIKE) * best.drop
+
+
+def _next_best(other: Explanation) -> str:
+    return f"{other.name} ({100.0 * other.share.value:.0f} %, chi2 drop {other.drop:.0f})"

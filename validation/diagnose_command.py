@@ -1,0 +1,223 @@
+"""`luxloop diagnose` and `luxloop next`: which effect the model lacks, and what to measure where that is open."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from luxloop.errors import InputError
+from luxloop.settings import load_settings
+from validation.calibrate_command import ModelFile, Twin, bar, paths_of
+from validation.compare_command import (
+    HISTORIES,
+    Film,
+    Histories,
+    Json,
+    NoLocal,
+    Page,
+    Pixel,
+    Quiet,
+    Router,
+    Runs,
+    Seed,
+)
+
+if TYPE_CHECKING:
+    from validation.diagnosing import Diagnosing
+    from validation.session import Session, Subject
+
+LAST = "diagnosis.json"
+"""Beside the versions of the model file: the last diagnosis, for `next`."""
+
+Free = Annotated[
+    str | None,
+    typer.Option(help="Parameters that are calibrated beside the effects, with commas; default: the file's."),
+]
+
+
+@contextmanager
+def diagnosing(
+    command: str,
+    model: str,
+    *,
+    free: str | None,
+    histories: int | None,
+    seed: int,
+    pixel_um: float | None,
+    film: str | None,
+    runs: Path | None,
+    router: str | None,
+    no_local: bool,
+    say: bool,
+) -> Iterator[tuple[Diagnosing, Subject, Session]]:
+    """The model on its data, with workers, on record as a run. Raises InputError for a model without data."""
+    from validation.comparing import NULLS, Solver
+    from validation.diagnosing import Diagnosing
+    from validation.effects.known import Known
+    from validation.observed import Observed
+    from validation.session import session, subject_of
+
+    settings = load_settings(runs=runs, router=router)
+    subject = subject_of(model, None)
+    observed = Observed.of(subject.dataset, pixel_um, film)
+    paths = tuple(path for path in paths_of(subject.model, free) if not path.startswith("effects."))
+    solver = Solver(histories, seed)
+    with (
+        session(settings, subject, command, seed=seed, local=not no_local, say=say) as at,
+        bar(say, command) as progress,
+    ):
+        known = Known.ask(at.asking)
+        yield (
+            Diagnosing(
+                subject.model, observed, at.predictor, known, solver, paths, settings.cache_dir / NULLS, progress
+            ),
+            subject,
+            at,
+        )
+
+
+def facts_of(subject: Subject, at: Session) -> dict[str, Any]:
+    """What every document of these commands begins with."""
+    return {
+        "command": shlex.join(["luxloop", *sys.argv[1:]]),
+        "model": {"file": subject.file, "name": subject.model.name, "sha256": subject.model.sha256},
+        "dataset": {
+            "path": str(subject.dataset.folder), "name": subject.dataset.manifest.name,
+            "sha256": subject.dataset.sha256,
+        },
+        "model_sha256": subject.model.sha256,
+        "dataset_sha256": subject.dataset.sha256,
+        "run": at.door.run,
+        "folder": at.door.begun.folder,
+    }  # fmt: skip
+
+
+def diagnose(
+    model: ModelFile = "model.toml",
+    free: Free = None,
+    twin: Twin = False,
+    histories: Histories = HISTORIES,
+    seed: Seed = 1,
+    pixel_um: Pixel = None,
+    film: Film = None,
+    page: Page = None,
+    no_local: NoLocal = False,
+    runs: Runs = None,
+    router: Router = None,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Learn which physical effect the model lacks: one verdict, the effects by rank, the measurement to take next."""
+    from validation import told_diagnosis as told
+    from validation.compare_command import view_of
+    from validation.diagnose.document import document
+
+    draw = view_of("diagnosis", page) if page is not None else None
+    with diagnosing(
+        "diagnose", model, free=free, histories=None if twin else histories, seed=seed, pixel_um=pixel_um, film=film,
+        runs=runs, router=router, no_local=no_local, say=not (as_json or quiet),
+    ) as (engine, subject, at):  # fmt: skip
+        found = engine.diagnosed()
+        told_of = facts_of(subject, at) | document(found, engine.proposals, seed)
+        told_of |= {"solver": engine.solver.document(), "not_tested": engine.untested}
+        ground = found.steps[0].ground.fit
+        maps = {image.shot.id: z for image, z in zip(ground.problem.images, ground.residual_images, strict=True)}
+        at.record(told_of, maps)
+        arrays = {}
+        if draw is not None:
+            from validation.diagnose.arrays import arrays_of
+
+            arrays = arrays_of(found)
+    keep(subject, told_of)
+    if draw is not None:
+        draw(told_of, arrays, page)
+    typer.echo(json.dumps(told_of, ensure_ascii=False) if as_json else "\n".join(told.diagnosis(told_of)))
+
+
+def next_(
+    effects: Annotated[
+        list[str] | None, typer.Argument(metavar="[EFFECT...]", help="Rivals; default: those of the last diagnosis.")
+    ] = None,
+    model: ModelFile = "model.toml",
+    free: Free = None,
+    twin: Twin = False,
+    histories: Histories = HISTORIES,
+    seed: Seed = 1,
+    pixel_um: Pixel = None,
+    film: Film = None,
+    no_local: NoLocal = False,
+    runs: Runs = None,
+    router: Router = None,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Name the measurement that would tell rival effects apart, with the sigma to expect and the stanza to fill."""
+    from validation import told_diagnosis as told
+    from validation.diagnose.next_measurement import Rivals
+    from validation.diagnose.refit import refit
+
+    rivals = effects or rivals_of(model)
+    with diagnosing(
+        "next", model, free=free, histories=None if twin else histories, seed=seed, pixel_um=pixel_um, film=film,
+        runs=runs, router=router, no_local=no_local, say=not (as_json or quiet),
+    ) as (engine, subject, at):  # fmt: skip
+        specs = [engine.spec(name) for name in rivals]
+        base = engine.fitted(engine.model)
+        scores = engine.scored(base, specs)
+        refits = [refit(base, scores[name], base.problem.unknowns.model_paths) for name in rivals]
+        proposals = Rivals(base, refits, engine.predictor).proposals(engine.progress)
+        told_of = facts_of(subject, at) | {
+            "rivals": rivals,
+            "candidates": [one.document() for one in proposals],
+            "next_measurement": proposals[0].document() if proposals else None,
+        }
+        at.record(told_of, {})
+    typer.echo(json.dumps(told_of, ensure_ascii=False) if as_json else "\n".join(told.next_measurement(told_of)))
+
+
+def keep(subject: Subject, document: dict[str, Any]) -> None:
+    """The verdict beside the model file, for `next`; nothing of a shipped model."""
+    file = last_file(subject.file)
+    if file is None:
+        return
+    small = {name: document[name] for name in ("verdict", "sentence", "set", "model_sha256", "dataset_sha256")}
+    file.parent.mkdir(parents=True, exist_ok=True)
+    temporary = file.with_suffix(".tmp")
+    temporary.write_text(json.dumps(small), encoding="utf-8")
+    temporary.replace(file)
+
+
+def last_file(model: str) -> Path | None:
+    """Where the last diagnosis of a model file is kept; None for a shipped model."""
+    from luxloop.model_file import SHIPPED
+
+    return None if model in SHIPPED else Path(model).parent / ".luxloop" / f"{Path(model).stem}-{LAST}"
+
+
+def rivals_of(model: str) -> list[str]:
+    """The effects that the last diagnosis could not tell apart.
+
+    Raises InputError where there was none, where it was of another model, or where it left nothing open.
+    """
+    from luxloop.model_file import find_model
+
+    file = last_file(model)
+    if file is None or not file.exists():
+        raise InputError(
+            "EFFECT", "none", "two effects by name, or a diagnosis before", "luxloop diagnose comes first"
+        )
+    last = json.loads(file.read_text(encoding="utf-8"))
+    if last["model_sha256"] != find_model(model).sha256:
+        mend = "run luxloop diagnose again, or name the effects"
+        raise InputError("EFFECT", "none", f"a diagnosis of this model, not of {last['model_sha256'][:12]}", mend)
+    if len(last["set"]) < 2:
+        mend = f"name two effects; it said {last['verdict']}"
+        raise InputError("EFFECT", "none", "a diagnosis that left rivals", mend)
+    return list(last["set"])

@@ -1,0 +1,147 @@
+"""What diagnose, next, add and remove share: a fit on the data on record, its ground, the workers' catalogue.
+
+The data are those that `compare` put into the model file; the model's own parameters are calibrated anew, beside the
+effects that it has.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+
+from luxloop.effect import EffectSpec
+from luxloop.errors import InputError
+from luxloop.model import Model
+from validation.comparing import Solver
+from validation.contrasts.null import Variances, null
+from validation.contrasts.structure import DRAWS, fit_layout, fit_projection, judged
+from validation.diagnose.columns import FitSight, candidates_of
+from validation.diagnose.diagnosis import Diagnosis, Ground, Step, best_of, diagnosed
+from validation.diagnose.next_measurement import Proposal, Rivals, next_in_words
+from validation.diagnose.refit import Refitted, refit, shaped
+from validation.diagnose.score import Candidate, Projected, Score, scores
+from validation.effects.known import Known
+from validation.fit import CurvesOf, Fit, fit
+from validation.observed import Observed
+from validation.prediction import Predictor
+
+Progress = Callable[[float, str], None]
+
+
+def silent(*_: object) -> None:
+    """A progress that nobody sees."""
+
+
+@dataclass(eq=False)
+class Diagnosing:
+    """A model, its data and the workers."""
+
+    model: Model
+    observed: Observed
+    predictor: Predictor
+    known: Known
+    solver: Solver
+    free: tuple[str, ...]
+    """Paths of the model that move."""
+    cache: Path | None = None
+    progress: Progress = silent
+    proposals: list[Proposal] = field(default_factory=list)
+    """Of the last verdict that could not tell effects apart."""
+
+    def fitted(self, model: Model) -> Fit:
+        """A model on these data; effects in it are fitted where its [fit] tables free them."""
+        anchor_at = self.solver.anchor_at
+        free = [*self.free, *(path for path, one in model.fit.items() if path.startswith("effects.") and one.free)]
+        return fit(
+            model,
+            self.observed.images,
+            self.predictor,
+            free=list(dict.fromkeys(free)),
+            anchor_at=anchor_at,
+            curves=self.observed.curves,
+            predict_curves=CurvesOf(self.predictor),
+            others=self.observed.films,
+            start=self.observed.films_at,
+        )
+
+    def ground(self, found: Fit) -> Ground:
+        """The structure that a fit leaves, and its null."""
+        layout, projection = fit_layout(found), fit_projection(found)
+        variances = Variances.of(layout, projection)
+        drawn = null(layout, projection, variances.weight, DRAWS, self.solver.seed, self.cache)
+        structure = judged(found.residual, layout, projection, variances, drawn)
+        return Ground(found, structure, drawn, projection, variances)
+
+    @cached_property
+    def effects(self) -> list[EffectSpec]:
+        """Those that these data could show: of modules where there are images or far fields, of films else."""
+        images = bool(self.observed.images) or any(curve.free_scale for curve in self.observed.curves)
+        spectra = any(not curve.free_scale for curve in self.observed.curves)
+        return [one for one in self.known.specs if (spectra if is_of_film(one) else images)]
+
+    @property
+    def untested(self) -> list[str]:
+        """Effects that these data cannot show, with the reason."""
+        names = {one.name for one in self.effects}
+        left = [one for one in self.known.specs if one.name not in names]
+        why = {True: "there are no spectra of films", False: "there are no images of modules"}
+        return [f"{one.name}: {why[is_of_film(one)]}" for one in left]
+
+    def signatures(self, found: Fit, effects: Sequence[EffectSpec]) -> list[Candidate]:
+        """The whitened columns of effects at a fit."""
+        sight = FitSight.of(found, self.predictor, self.known.specs, self.solver.seed)
+        return candidates_of(found, effects, sight, lambda share, name: self.progress(0.1 + 0.4 * share, name))
+
+    def scored(self, found: Fit, effects: Sequence[EffectSpec]) -> dict[str, Score]:
+        """Effects at their best shape on a fit, by name; InputError for one that these data cannot show."""
+        projected = Projected.of(self.signatures(found, effects), fit_projection(found))
+        if projected.untestable:
+            name = projected.untestable[0]
+            allowed, mend = "an effect that these data can show", "what is fitted anyway does all that it does"
+            raise InputError("EFFECT", name, allowed, mend)
+        tested = scores(projected, found.residual, found.variance_scale, seed=self.solver.seed)
+        return {one.name: one.best for one in tested.effects}
+
+    def refitted(self, found: Fit, effect: EffectSpec) -> Refitted:
+        """The fit with an effect at its best shape, what shapes it free where the data hold it."""
+        paths = found.problem.unknowns.model_paths
+        return shaped(refit(found, self.scored(found, [effect])[effect.name], paths), paths)
+
+    def next_image(self, step: Step, names: Sequence[str]) -> str:
+        """What would tell rivals apart, in words; the proposals are kept."""
+        refits = [one for one in step.refits if one.candidate.effect.name in names]
+        refits.sort(key=lambda one: names.index(one.candidate.effect.name))
+        rivals = Rivals(step.ground.fit, refits, self.predictor)
+        self.proposals = rivals.proposals(lambda share, words: self.progress(0.9 + 0.1 * share, words))
+        return next_in_words(self.proposals)
+
+    def diagnosed(self) -> Diagnosis:
+        """The verdict."""
+        self.progress(0.0, "the fit without more effects")
+        ground = self.ground(self.fitted(self.model))
+        return diagnosed(
+            ground, self.effects, self.signatures, self.ground, self.next_image,
+            seed=self.solver.seed, progress=self.progress,
+        )  # fmt: skip
+
+    def spec(self, name: str) -> EffectSpec:
+        """An effect by name; InputError with what is near, or why these data cannot show it."""
+        spec = self.known.spec(name)
+        if spec.name not in {one.name for one in self.effects}:
+            reason = next(text for text in self.untested if text.startswith(f"{name}:"))
+            raise InputError("EFFECT", name, "an effect that these data can show", reason)
+        return spec
+
+
+def is_of_film(spec: EffectSpec) -> bool:
+    """Whether an effect is one of films that are measured by themselves, not of modules."""
+    return spec.name.startswith("film_")
+
+
+def best_name(found: Diagnosis) -> str:
+    """The effect that a diagnosis names first. ValueError where it names none."""
+    if not found.steps[0].verdict.set:
+        raise ValueError("a verdict that names no effect")
+    return best_of(found.steps[0]).name

@@ -1,0 +1,1 @@
+"""Effects from outside: which there are, what each does to images and curves, which look alike, new ones."""

@@ -1,0 +1,132 @@
+"""What is demanded of an effect before it is trusted: its trial at the workers, its derivative, its random numbers.
+
+The trial (`containers.effect_trial`) has looked at the file by itself; here whole predictions are asked for, as a fit
+will ask. The last question, whether a diagnosis finds the effect again, is the diagnosis' own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from luxloop.effect import EffectSpec, Value
+from luxloop.errors import RemoteError
+from luxloop.model import Model
+from validation.effects.confusing import Ground
+from validation.effects.known import Known, applied, off_values, typical, with_effect
+from validation.effects.signatures import Column, Projection, cosines, projected, signature
+from validation.prediction import Predictor
+
+Real = NDArray[np.float64]
+
+STABLE = 0.25
+"""By which a derivative may change where its step is halved or doubled, of its length."""
+SHARED = 0.5
+"""A small effect's difference with the same seed, at most, of that of two seeds."""
+SMALL = 0.03
+"""Of the typical size of an effect: what it then does is small beside the noise of few histories."""
+HISTORIES = 131_072
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that was looked at. `ok` of None: nothing is demanded, it is told."""
+
+    check: str
+    ok: bool | None
+    said: str
+
+
+def trial_of(known: Known, name: str) -> Iterator[Finding]:
+    """What the workers found when they tried the file; of the catalogue's effects nothing."""
+    trial = known.trials.get(f"{name}.py")
+    if trial is None:
+        why = known.refused.get(f"{name}.py")
+        yield Finding("trial", False, why) if why else Finding("trial", None, "of the catalogue: tried by its tests")
+        return
+    for one in trial["findings"]:
+        if one["check"] != "end":
+            yield Finding(one["check"], bool(one["ok"]), one["said"])
+    why = known.refused.get(f"{name}.py", "")
+    if why and all(one["ok"] for one in trial["findings"]):
+        yield Finding("trial", False, why)
+
+
+def derivative(ground: Ground, model: Model, spec: EffectSpec, columns: Sequence[Column]) -> Iterator[Finding]:
+    """Whether each derivative at off is the same with half and with double the step."""
+    halved, doubled = (signature(ground.sight, model, spec, scale=scale) for scale in (0.5, 2.0))
+    for one, half, double in zip(columns, halved, doubled, strict=True):
+        changes = [_change(other, one, ground.projection) for other in (half, double)]
+        name = one.parameter + (f" of chip {one.chip}" if one.chip is not None else "")
+        said = f"by {name}: {100 * changes[0]:.1f} % other with half, {100 * changes[1]:.1f} % with double the step"
+        mend = f"; allowed {100 * STABLE:g} %: is score = 'square' right, or a range smaller?"
+        ok = max(changes) <= STABLE
+        yield Finding("derivative", ok, said + ("" if ok else mend))
+
+
+def _change(other: Column, one: Column, projection: Projection) -> float:
+    rows, others = projection.rows(one), projection.rows(other)
+    length = float(np.linalg.norm(rows))
+    return float(np.linalg.norm(others - rows)) / length if length else 0.0
+
+
+def shared_numbers(ground: Ground, predictor: Predictor, model: Model, spec: EffectSpec) -> Finding:
+    """Whether Monte Carlo with the effect draws the random numbers of the run without it."""
+    view = replace(ground.sight.views[-2], sensor=None)
+    small = with_effect(model, applied(spec, _small(spec, view.sample.rows * view.sample.columns)))
+    (base,), (again,), (moved,) = (
+        predictor.monte_carlo(at, [view], HISTORIES, seed) for at, seed in ((model, 1), (model, 2), (small, 1))
+    )
+    alone = _rms(base.irradiance_per_mm2 - again.irradiance_per_mm2)
+    together = _rms(base.irradiance_per_mm2 - moved.irradiance_per_mm2)
+    said = f"same seed: {together / alone:.3f} of the difference of two seeds (a small effect, {HISTORIES:,} rays)"
+    return Finding("random numbers", together <= SHARED * alone, said)
+
+
+def _small(spec: EffectSpec, chips: int) -> dict[str, Value]:
+    """Near off: by a small share of the typical size."""
+    off, there = off_values(spec, chips=chips), typical(spec, chips)
+    return {one.name: _between(off[one.name], there[one.name]) for one in spec.parameters}
+
+
+def _between(off: Value, there: Value) -> Value:
+    if isinstance(off, tuple) and isinstance(there, tuple):
+        return tuple(a + SMALL * (b - a) for a, b in zip(off, there, strict=True))
+    if isinstance(off, float | int) and isinstance(there, float | int):
+        return off + SMALL * (there - off)
+    return there
+
+
+def _rms(image: Real) -> float:
+    return float(np.sqrt(np.mean(image**2)))
+
+
+def likeness(
+    ground: Ground, model: Model, spec: EffectSpec, columns: Sequence[Column], others: Sequence[EffectSpec]
+) -> list[tuple[str, float]]:
+    """(effect, cosine) of all others that show, the most alike first; none where calibration imitates it wholly."""
+    mine = projected(columns, ground.projection)
+    if not mine.any():
+        return []
+    found = []
+    for other in others:
+        if other.name == spec.name:
+            continue
+        try:
+            theirs = projected(ground.columns(model, other), ground.projection)
+        except RemoteError:  # what cannot be predicted here cannot be compared with
+            continue
+        if theirs.any():
+            found.append((other.name, float(cosines({"one": mine, "other": theirs})[0, 1])))
+    return sorted(found, key=lambda pair: -pair[1])
+
+
+def looks_like(near: Sequence[tuple[str, float]], ground: str) -> Finding:
+    """The sentence that a user needs most."""
+    if not near:
+        return Finding("looks like", None, f"calibration imitates it wholly, on {ground}: the data cannot show it")
+    name, cosine = near[0]
+    return Finding("looks like", None, f"your effect is {cosine:.2f} the same as {name} for {ground}")

@@ -1,0 +1,124 @@
+"""Which effects the workers know: asked of them, never imported."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from luxloop.effect import AppliedEffect, EffectParameter, EffectSpec, Value, did_you_mean
+from luxloop.errors import InputError
+from luxloop.model import Model
+from luxloop.ray import EffectsRequest
+from luxloop.words import parse
+from validation.prediction.words import Asks
+
+THIRD = 1.0 / 3.0
+
+
+@dataclass(frozen=True)
+class Known:
+    """The workers' catalogue, the user's own effects in it."""
+
+    specs: tuple[EffectSpec, ...]
+    refused: Mapping[str, str]
+    """By file name of the user's folder: why it is not used."""
+    trials: Mapping[str, Mapping[str, Any]]
+    """By file name: its SHA-256, and a line for each thing that its trial looked at."""
+
+    @classmethod
+    def ask(cls, client: Asks) -> Known:
+        """What the ray-tracing worker knows now, its folder looked through again. Raises RemoteError."""
+        told = client.run(EffectsRequest(), fresh=True).result
+        specs = tuple(parse(EffectSpec, one, "effects") for one in told["effects"])
+        return cls(specs, told["refused_effects"], told.get("effect_trials", {}))
+
+    def spec(self, name: str) -> EffectSpec:
+        """The effect of that name. Raises InputError, with the reason where its file was refused."""
+        for one in self.specs:
+            if one.name == name:
+                return one
+        if f"{name}.py" in self.refused:
+            raise InputError("NAME", name, "an effect that can be used", self.refused[f"{name}.py"])
+        names = [one.name for one in self.specs]
+        mend = did_you_mean(name, names) or "luxloop effects list shows them"
+        raise InputError("NAME", name, f"one of the {len(names)} effects that the workers know", mend)
+
+    @property
+    def beyond_twin(self) -> frozenset[str]:
+        """The names of those that the twin cannot represent."""
+        return frozenset(one.name for one in self.specs if not one.twin)
+
+
+def off_values(spec: EffectSpec, shape: Mapping[str, Value] | None = None, chips: int = 0) -> dict[str, Value]:
+    """Values at which an effect is absent; what only shapes it as in `shape`, else in the middle of its grid."""
+    values = {one.name: _off(one, chips) for one in spec.parameters}
+    return values | {name: value for name, value in (shape or {}).items() if name in values}
+
+
+def _off(one: EffectParameter, chips: int) -> Value:
+    grid: Sequence[Value] = one.shape_grid or one.choices or (one.lower or 0.0,)
+    value = grid[len(grid) // 2] if one.off is None else one.off
+    return (float(value),) * chips if one.per_chip and isinstance(value, float) else value
+
+
+def shapes_of(spec: EffectSpec) -> list[dict[str, Value]]:
+    """The points of an effect's shape grid: each value of each parameter without off, the others in the middle."""
+    middle = {one.name: _off(one, 0) for one in spec.parameters if one.off is None and not one.per_chip}
+    points = [middle]
+    for one in spec.parameters:
+        if one.name in middle:
+            points += [middle | {one.name: value} for value in one.shape_grid or one.choices]
+    return [point for number, point in enumerate(points) if point not in points[:number]]
+
+
+def acting(spec: EffectSpec) -> list[EffectParameter]:
+    """The parameters with a slope at off: numbers that have an off value."""
+    return [one for one in spec.parameters if one.off is not None and not one.choices and not spec.discrete]
+
+
+def typical(spec: EffectSpec, chips: int = 0) -> dict[str, Value]:
+    """Values that show an effect: a third of the way from off to the upper end; of chips every other one."""
+    values: dict[str, Value] = {}
+    for one in spec.parameters:
+        value = _off(one, chips)
+        if one.off is not None and one.choices:
+            value = next(choice for choice in one.choices if choice != one.off)
+        elif one.off is not None:
+            off, end = float(one.off), far_end(one)
+            value = off + THIRD * (end - off)
+            if one.per_chip:
+                value = tuple(value if chip % 2 == 0 else off - (value - off) for chip in range(chips))
+        values[one.name] = value
+    return values
+
+
+def far_end(one: EffectParameter) -> float:
+    """The upper end of a parameter's range, or the lower one where off is the upper."""
+    lower, upper = float(one.lower or 0.0), float(one.upper or 0.0)
+    return upper if one.off is None or upper > float(one.off) else lower
+
+
+def applied(spec: EffectSpec, values: Mapping[str, Value]) -> AppliedEffect:
+    """The effect with these values, as a model has it."""
+    return AppliedEffect(name=spec.name, parameters=dict(values), source_sha256=spec.source_sha256)
+
+
+def with_effect(model: Model, one: AppliedEffect) -> Model:
+    """The model with the effect, in the place of one of that name or after the others."""
+    names = [effect.name for effect in model.effects]
+    effects = tuple(one if effect.name == one.name else effect for effect in model.effects)
+    return model.model_copy(update={"effects": effects if one.name in names else (*effects, one)})
+
+
+def stanza(one: AppliedEffect) -> str:
+    """What to paste into a model file."""
+    lines = ["[[effects]]", f'name = "{one.name}"']
+    lines += [f'source_sha256 = "{one.source_sha256}"'] if one.source_sha256 else []
+    lines.append("[effects.parameters]")
+    for name, value in one.parameters.items():
+        text = (
+            f'"{value}"' if isinstance(value, str) else str(list(value)) if isinstance(value, tuple) else repr(value)
+        )
+        lines.append(f"{name} = {text}")
+    return "\n".join(lines)

@@ -1,0 +1,135 @@
+"""What diagnose, next, add and ladder say on a terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from validation.told import table
+
+Document = Mapping[str, Any]
+
+SCORES, CANDIDATES, NAMED = 8, 8, 6
+
+
+def diagnosis(document: Document) -> Iterator[str]:
+    """The verdict, the effects that were tried, what else scored, the rivals, the next measurement."""
+    yield document["sentence"]
+    found = document["structure"]
+    yield f"Structure: p {found['p_text']}; the {document['known']} known effects: p {document['scores_p']:.2g}."
+    if document["effects"]:
+        yield ""
+        heads = ("effect", "size", "chi2 drop", "explains", "held-out error", "ln evidence", "p left", "alike")
+        yield from table(heads, [_effect(row) for row in document["effects"]])
+    others: list[Document] = [
+        row for row in document["scores"] if row["name"] not in {one["name"] for one in document["effects"]}
+    ]
+    if others:
+        yield ""
+        yield "scored, not tried: " + ", ".join(f"{row['name']} {row['z']:+.1f}" for row in others[:SCORES])
+    if document["parameters"]:
+        yield ""
+        yield from table(
+            ("fitted", "without", "with the best effect", "prior"), [_moved(r) for r in document["parameters"]]
+        )
+    if document["limits"] and document["verdict"] == "nothing_visible":
+        yield ""
+        yield from _seen_above(document["limits"])
+    if document["candidates"]:
+        yield ""
+        yield from next_measurement(document)
+    elif document["verdict"] in ("one_effect", "cannot_tell_apart") and document["set"]:
+        yield ""
+        yield f"luxloop add {document['set'][0]} puts it into {document['model']['file']}."
+    for reason in document["untestable"]:
+        yield f"not testable with these data: {reason}, for what is fitted anyway does all that it does"
+
+
+def _seen_above(limits: Sequence[Document]) -> Iterator[str]:
+    rows = [(f"{row['name']}.{row['parameter']}", f"{row['value']:.2g} {row['unit']}") for row in limits]
+    yield from table(("effect", "would have been seen above"), rows)
+
+
+def next_measurement(document: Document) -> Iterator[str]:
+    """Candidates by what they would bring, and what to write into the manifest."""
+    if not document["candidates"]:
+        yield "No further image of these samples separates them: measure the camera's own targets first."
+        return
+    yield "Camera targets (a flat field, a slanted edge, an exposure series) settle what the camera does first."
+    rows = [
+        (row["words"], f"{row['expected_sigma']:.1f}", f"{row['now_sigma']:.1f}")
+        for row in document["candidates"][:CANDIDATES]
+    ]
+    yield from table(("one more image", "expected sigma", "now"), rows)
+    yield ""
+    yield document["next_measurement"]["stanza"]
+
+
+def ladder(document: Document) -> Iterator[str]:
+    """A row for each version of the model."""
+    heads = ("version", "by", "error", "held out", "noise", "p of structure", "effects")
+    yield from table(heads, [_rung(row) for row in document["rungs"]])
+    moved = document["parameters"]
+    if moved:
+        yield ""
+        versions = [str(row["version"]) for row in document["rungs"]]
+        columns = ("parameter", "prior", *(f"v{number}" for number in versions))
+        yield from table(columns, [(r["path"], r["prior"], *r["values"]) for r in moved])
+
+
+def added(document: Document) -> Iterator[str]:
+    """What add and remove did."""
+    yield from document["diff"]
+    for row in document["fitted"]:
+        yield f"{row['path']} {row['value']:.4g} +- {row['error']:.2g} {row['unit']}".rstrip()
+    before, after = document["before"], document["after"]
+    for name, words in (("fitted_percent", "error in what was fitted"), ("held_out_percent", "held-out error")):
+        if before.get(name) is not None and after.get(name) is not None:
+            yield f"{words}: {before[name]:.3g} % -> {after[name]:.3g} % (noise {after['noise_percent']:.3g} %)"
+    yield f"p of structure: {before['p']:.2g} -> {after['p']:.2g}"
+    if not document["trusted"]:
+        yield f"Not to be trusted: {document['reason']}."
+    if document["version"] is None:
+        yield f"{document['model']['file']} is as it was."
+    else:
+        yield f"{document['model']['file']} is version {document['version']}; undo: luxloop model undo"
+
+
+def _effect(row: Document) -> tuple[str, ...]:
+    ((name, size),) = row["size"].items()
+    held = "not possible"
+    if row["held_out_before"] is not None:
+        held = f"{row['held_out_before']:.3g} -> {row['held_out_after']:.3g} %"
+    evidence = "" if row["log_evidence"] is None else f"{row['log_evidence']:.0f}"
+    share = f"{100.0 * row['explained_share']:.0f} +- {100.0 * row['explained_share_error']:.0f} %"
+    return (
+        row["name"] + ("" if row["plausible"] else " (implausible)"),
+        f"{name} {size['value']:.3g} +- {size['error']:.2g} {size['unit']}".rstrip(),
+        f"{row['chi2_drop']:.0f}",
+        share,
+        held,
+        evidence,
+        f"{row['p_left']:.2g}",
+        ", ".join(row["group"][:NAMED]),
+    )
+
+
+def _moved(row: Document) -> tuple[str, ...]:
+    held = ", at its limit" if row["at_limit"] else ""
+    prior = "" if row["prior_mean"] is None else f"{row['prior_mean']:g} +- {row['prior_sd']:g}"
+    after = "" if row["with"] is None else f"{row['with']:.4g} +- {row['with_error']:.2g}"
+    return row["path"], f"{row['value']:.4g} +- {row['error']:.2g}{held}", after, prior
+
+
+def _rung(row: Document) -> tuple[str, ...]:
+    return (
+        str(row["version"]),
+        row["command"],
+        *(_percent(row[name]) for name in ("fitted_percent", "held_out_percent", "noise_percent")),
+        "" if row["p"] is None else f"{row['p']:.2g}",
+        ", ".join(row["effects"]) or "-",
+    )
+
+
+def _percent(value: float | None) -> str:
+    return "" if value is None else f"{value:.3g} %"

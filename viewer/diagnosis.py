@@ -1,0 +1,223 @@
+"""The page of a diagnosis: the verdict, what is left without and with the effect, the rivals, what to measure.
+
+document and arrays of `luxloop diagnose`  ──▶ one HTML file that loads nothing and runs nothing
+document of `luxloop ladder`               ──▶ the errors of all versions, as a page or a picture
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from viewer import comparison_images as images
+from viewer import diagnosis_figures as figures
+from viewer import html
+from viewer.comparison_tables import number, provenance
+from viewer.html import NOTHING, paragraph
+from viewer.look import save
+
+Document = Mapping[str, Any]
+Arrays = Mapping[str, NDArray[Any]]
+
+
+def draw(document: Document, arrays: Arrays, path: Path) -> None:
+    """Write the page (.html) of a diagnosis, or the one picture that says most (.png, .svg, .pdf)."""
+    if path.suffix.lower() in (".html", ".htm"):
+        path.write_text(page_of(document, arrays), encoding="utf-8", newline="\n")
+    else:
+        save(figures.scores_figure(document), path)
+
+
+def draw_ladder(document: Document, arrays: Arrays, path: Path) -> None:  # noqa: ARG001  # a view's arguments
+    """Write the ladder as a page (.html) or a picture."""
+    if path.suffix.lower() in (".html", ".htm"):
+        body = [html.heading(f"The ladder of {document['model']['file']}"), *_ladder(document)]
+        path.write_text(html.page(f"The ladder of {document['model']['file']}", body), encoding="utf-8", newline="\n")
+    else:
+        save(figures.ladder_figure(document), path)
+
+
+def page_of(document: Document, arrays: Arrays) -> str:
+    """The page of a diagnosis, as HTML."""
+    parts = {
+        "effects": ("What explains it", list(_effects(document))),
+        "images": ("What is left", list(_images(document, arrays))),
+        "where": ("Where", list(_where(document))),
+        "scores": ("All effects", list(_scores(document))),
+        "parameters": ("What the effect does to the fit", list(_parameters(document))),
+        "confounding": ("Which effects look alike", list(_confounding(document))),
+        "next": ("What to measure next", list(_next(document))),
+        "provenance": ("Provenance", list(provenance(document, "This diagnosis was made by:"))),
+    }
+    present = {name: (title, body) for name, (title, body) in parts.items() if body}
+    body = [*_head(document), html.contents({name: title for name, (title, _) in present.items()})]
+    body += [html.section(name, title, *inside) for name, (title, inside) in present.items()]
+    return html.page(f"Diagnosis of {document['model']['name']} on {document['dataset']['name']}", body)
+
+
+def _head(document: Document) -> Iterator[str]:
+    yield html.heading(f"Diagnosis of {document['model']['name']} on {document['dataset']['name']}")
+    yield paragraph(document["sentence"], "lead")
+    structure = document["structure"]
+    rows = [
+        (structure["p_text"], "structure p: how often noise alone leaves as much, before any effect is added"),
+        (
+            f"{document['scores_p']:.2g}",
+            f"how often noise alone makes any of {document['known']} effects score as well",
+        ),
+    ]
+    if document["set"]:
+        best = next(one for one in document["effects"] if one["name"] == document["set"][0])
+        share, error = 100.0 * best["explained_share"], 100.0 * best["explained_share_error"]
+        rows.append((f"{share:.0f} ± {error:.0f} %", f"of the structure is explained by {best['name']}"))
+        if best["held_out_before"] is not None:
+            fall = f"{number(best['held_out_before'])} → {number(best['held_out_after'])} %"
+            rows.append((fall, "rms error in images that were left out of the fit"))
+    yield html.highlights(rows)
+
+
+def _effects(document: Document) -> Iterator[str]:
+    if not document["effects"]:
+        if document["limits"]:
+            yield paragraph("An effect above these sizes would have been seen with 90 % power:")
+            rows = [(one["name"], one["parameter"], number(one["value"]), one["unit"]) for one in document["limits"]]
+            yield html.table(("effect", "parameter", "seen above", "unit"), rows, words=2, ending=1)
+        return
+    heads = (
+        "effect",
+        "parameter",
+        "size",
+        "χ² drop",
+        "explains (%)",
+        "held-out error (%)",
+        "ln evidence",
+        "p left",
+        "",
+    )
+    yield html.table(
+        heads,
+        [_effect(one) for one in document["effects"]],
+        "Added one at a time and fitted with the model's own parameters. Explains: of the contrasts that were loudest"
+        " before. Held-out: all images of one sample left out in turn.",
+        words=2,
+        ending=1,
+    )
+
+
+def _effect(one: Document) -> tuple[str, ...]:
+    ((name, size),) = one["size"].items()
+    held = NOTHING
+    if one["held_out_before"] is not None:
+        held = f"{number(one['held_out_before'])} → {number(one['held_out_after'])}"
+    return (
+        one["name"],
+        name,
+        f"{size['value']:.3g} ± {size['error']:.2g} {size['unit']}".rstrip(),
+        f"{one['chi2_drop']:.0f}",
+        f"{100.0 * one['explained_share']:.0f} ± {100.0 * one['explained_share_error']:.0f}",
+        held,
+        NOTHING if one["log_evidence"] is None else f"{one['log_evidence']:.0f}",
+        f"{one['p_left']:.2g}",
+        "" if one["plausible"] else "outside of its range, or no gain",
+    )
+
+
+def _images(document: Document, arrays: Arrays) -> Iterator[str]:
+    """Measured, model, residual, noise alone, and the residual with the best effect added."""
+    shots = [shot for shot in document["shots"] if f"{shot['id']}/z" in arrays]
+    if not shots:
+        return
+    name = document["set"][0] if document["set"] else ""
+    yield paragraph(
+        "Residuals are measured minus model in sigma of a pixel's noise, one scale for all. Beside them, on the same"
+        " pixels, what noise alone looks like: a model that lacks nothing leaves such a map."
+    )
+    for shot in shots:
+        pictures = images.image_pictures(images.image_of(shot, arrays))
+        kept = {title: pictures[title] for title in pictures if not title.startswith("cut")}
+        if f"{shot['id']}/z_with" in arrays:
+            after = {**arrays, f"{shot['id']}/z": arrays[f"{shot['id']}/z_with"]}
+            with_it = images.image_pictures(images.image_of(shot, after))
+            kept[f"residual with {name} (sigma)"] = with_it["residual (sigma)"]
+        caption = f"{shot['id']}: {shot['dbr_pairs']:g} pairs."
+        yield f"<h3>{html.escaped(shot['id'])}</h3>\n{html.row(kept, 'three', caption, document['command'])}"
+
+
+def _where(document: Document) -> Iterator[str]:
+    rows = [(one["region"], one["shot"], one["family"], f"{one['z']:+.1f}") for one in document["structure"]["where"]]
+    if rows:
+        yield html.table(("where", "shot", "seen in", "sigma"), rows, "The least like noise first.", words=3)
+
+
+def _scores(document: Document) -> Iterator[str]:
+    if not document["scores"]:
+        return
+    caption = (
+        "Each effect by itself, before it is added: sigma of it in the residual, after what the fit's own"
+        " parameters can do is taken out. The largest is not the verdict: somebody is always first."
+    )
+    yield html.figure(figures.scores_picture(document), "Scores of all effects", caption, document["command"])
+    if document["untestable"]:
+        yield paragraph(f"Not testable with these data: {', '.join(document['untestable'])}.")
+
+
+def _parameters(document: Document) -> Iterator[str]:
+    rows = []
+    for one in document["parameters"]:
+        prior = NOTHING if one["prior_mean"] is None else f"{one['prior_mean']:g} ± {one['prior_sd']:g}"
+        after = NOTHING if one["with"] is None else f"{one['with']:.4g} ± {one['with_error']:.2g}"
+        held = " (at its limit)" if one["at_limit"] else ""
+        rows.append((one["path"], f"{one['value']:.4g} ± {one['error']:.2g}{held}", after, prior))
+    if rows:
+        heads = ("parameter", "without", "with the best effect", "handbook (prior)")
+        caption = "A parameter that moves back to its handbook value is a strong argument for the effect."
+        yield html.table(heads, rows, caption)
+
+
+def _confounding(document: Document) -> Iterator[str]:
+    found = document["confounding"]
+    if len(found["names"]) < 2:
+        return
+    caption = (
+        "Cosine between what two effects do to these data, after what the fit's own parameters can do is taken out."
+        " Boxes: groups that are alike."
+    )
+    yield html.figure(figures.confounding_picture(document), "Cosines of all pairs", caption, document["command"])
+
+
+def _next(document: Document) -> Iterator[str]:
+    if not document["candidates"]:
+        return
+    caption = "Expected distance between the rivals in sigma if one more image were taken; dashed: now."
+    yield html.figure(figures.candidates_picture(document), "Expected separation", caption, document["command"])
+    best = document["next_measurement"]
+    yield paragraph(f"Take {best['words']}, then fill this into dataset.toml:")
+    yield html.code(best["stanza"])
+
+
+def _ladder(document: Document) -> Iterator[str]:
+    caption = "Rms error in percent of the mean signal, of each version of the model; the line is the noise alone."
+    yield html.figure(figures.ladder_picture(document), "The ladder", caption)
+    heads = ("version", "by", "error (%)", "held out (%)", "noise (%)", "p of structure", "effects")
+    rows = [
+        (
+            str(one["version"]),
+            one["command"],
+            *(_number(one[name]) for name in ("fitted_percent", "held_out_percent", "noise_percent", "p")),
+            ", ".join(one["effects"]) or NOTHING,
+        )
+        for one in document["rungs"]
+    ]
+    yield html.table(heads, rows, words=2, ending=1)
+    if document["parameters"]:
+        versions = [f"version {one['version']}" for one in document["rungs"]]
+        moved = [(one["path"], one["prior"] or NOTHING, *one["values"]) for one in document["parameters"]]
+        yield html.table(("parameter", "handbook (prior)", *versions), moved, words=2)
+
+
+def _number(value: float | None) -> str:
+    return NOTHING if value is None or not np.isfinite(value) else f"{value:.3g}"
