@@ -160,6 +160,7 @@ def next_(
 ) -> None:
     """Name the measurement that would tell rival effects apart, with the sigma to expect and the stanza to fill."""
     from validation import told_diagnosis as told
+    from validation.diagnose.frozen import slopes_of
     from validation.diagnose.next_measurement import Rivals
     from validation.diagnose.refit import refit
 
@@ -171,7 +172,8 @@ def next_(
         specs = [engine.spec(name) for name in rivals]
         base = engine.fitted(engine.model)
         scores = engine.scored(base, specs)
-        refits = [refit(base, scores[name], base.problem.unknowns.model_paths) for name in rivals]
+        slopes = slopes_of(base)
+        refits = [refit(base, scores[name], slopes) for name in rivals]
         proposals = Rivals(base, refits, engine.predictor).proposals(engine.progress)
         told_of = facts_of(subject, at) | {
             "rivals": rivals,

@@ -19,8 +19,9 @@ from validation.contrasts.null import Variances, null
 from validation.contrasts.structure import DRAWS, fit_layout, fit_projection, judged
 from validation.diagnose.columns import FitSight, candidates_of
 from validation.diagnose.diagnosis import Diagnosis, Ground, Step, best_of, diagnosed
+from validation.diagnose.frozen import slopes_of
 from validation.diagnose.next_measurement import Proposal, Rivals, next_in_words
-from validation.diagnose.refit import Refitted, refit, shaped
+from validation.diagnose.refit import Refitted, finished, refit
 from validation.diagnose.score import Candidate, Projected, Score, scores
 from validation.effects.known import Known
 from validation.fit import CurvesOf, Fit, fit
@@ -106,8 +107,8 @@ class Diagnosing:
 
     def refitted(self, found: Fit, effect: EffectSpec) -> Refitted:
         """The fit with an effect at its best shape, what shapes it free where the data hold it."""
-        paths = found.problem.unknowns.model_paths
-        return shaped(refit(found, self.scored(found, [effect])[effect.name], paths), paths)
+        added = refit(found, self.scored(found, [effect])[effect.name], slopes_of(found))
+        return finished(added, found.problem.predictor, found.problem.predict_curves)
 
     def next_image(self, step: Step, names: Sequence[str]) -> str:
         """What would tell rivals apart, in words; the proposals are kept."""

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm
+from scipy.special import log_ndtr, ndtri  # scipy.stats takes a second to import
 
 from validation.contrasts.families import CELLS, Layout, layout_of
 from validation.contrasts.null import Null, Projection, Variances, null
@@ -135,7 +135,7 @@ def judged(residual: Real, layout: Layout, projection: Projection, variances: Va
     return Structure(
         p=p,
         p_text=p_text,
-        z=float(norm.isf(min(p, LARGEST_P))),
+        z=float(-ndtri(min(p, LARGEST_P))),
         statistic=largest,
         families=families,
         shots={shot: _shot(shot, layout, residual, energies, drawn, regions) for shot in layout.shots},
@@ -200,12 +200,12 @@ def _regions(layout: Layout, local_z: Real, energies: Real, drawn: Null) -> list
             found.append(_region(group.family, group.shot, group.words(int(group.labels[worst])), part[worst], count))
     z = drawn.of_groups.z(energies)[:, 0]
     for (family, shot), value in list(zip(layout.members, z, strict=True))[len(layout.groups) :]:
-        found.append(Region("spatial frequency", shot, family, float(value), float(norm.logsf(value))))
+        found.append(Region("spatial frequency", shot, family, float(value), float(log_ndtr(-value))))
     return sorted(found, key=lambda region: region.log_chance)
 
 
 def _region(family: str, shot: str | None, words: str, z: float, count: int) -> Region:
-    return Region(family, shot, words, float(z), min(0.0, float(np.log(2.0 * count) + norm.logsf(abs(z)))))
+    return Region(family, shot, words, float(z), min(0.0, float(np.log(2.0 * count) + log_ndtr(-abs(z)))))
 
 
 def _shot(
@@ -217,4 +217,4 @@ def _shot(
     cells = next(group for group in layout.groups if group.shot == shot and group.family == CELLS)
     pixels = layout.cells[cells.rows].indices
     worst = next(region for region in regions if region.shot == shot)
-    return ShotFound(p, text, float(norm.isf(min(p, LARGEST_P))), float(np.mean(residual[pixels] ** 2)), worst)
+    return ShotFound(p, text, float(-ndtri(min(p, LARGEST_P))), float(np.mean(residual[pixels] ** 2)), worst)

@@ -69,9 +69,10 @@ def _of_shape(
         return
     columns = signature(sight, fit.model, spec, shape)
     for one in acting(spec):
-        own = [projection.rows(column) for column in columns if column.parameter == one.name]
+        own = [column for column in columns if column.parameter == one.name]
         if own:
-            yield Candidate(spec, one, words, np.array(own))
+            parts = () if one.per_chip else own[0].parts
+            yield Candidate(spec, one, words, np.array([projection.rows(column) for column in own]), parts)
 
 
 def _switches(

@@ -24,7 +24,8 @@ from validation.diagnose import held_out as held
 from validation.diagnose.confounding import Confounding, confounding, left_beside
 from validation.diagnose.evidence import log_evidence
 from validation.diagnose.explained import Loudest, Share
-from validation.diagnose.refit import Refitted, limits_of, refit, shaped
+from validation.diagnose.frozen import slopes_of
+from validation.diagnose.refit import Refitted, finished, limits_of, refit
 from validation.diagnose.score import Candidate, EffectScore, Projected, Scores, scores
 from validation.diagnose.verdict import (
     LEVEL,
@@ -139,8 +140,8 @@ def diagnosed(
         best = next((one for one in step.refits if one.candidate.effect.name in step.verdict.set[:1]), None)
         if best is None or best.fit is None or best_of(step).p_left >= level / 2.0:
             break
-        shaped_fit = shaped(best, ground.fit.problem.unknowns.model_paths).fit
-        ground = ground_of(shaped_fit or best.fit)
+        problem = ground.fit.problem
+        ground = ground_of(finished(best, problem.predictor, problem.predict_curves).fit or best.fit)
     if len(steps) > 1 and steps[-1].verdict.word in ("nothing_visible", "none_of_the_known", "fit_not_trustworthy"):
         steps.pop()  # what the last one kept is all that can be named
     return Diagnosis(tuple(steps), len(effects))
@@ -176,10 +177,10 @@ def _step(
             return Step(ground, scored, alike, (), (), not_trustworthy(ground.fit.distrust))
         return Step(ground, scored, alike, (), (), nothing_visible(limits_in_words(scored, level)))
     short = short_list(scored, alike)
-    refits, explanations = [], []
+    refits, explanations, slopes = [], [], slopes_of(ground.fit)
     for number, one in enumerate(short):
         progress(0.2 + 0.7 * number / len(short), f"adding {one.name}")
-        found = refit(ground.fit, one.best, ground.fit.problem.unknowns.model_paths)
+        found = refit(ground.fit, one.best, slopes)
         refits.append(found)
         explanations.append(_explanation(ground, one, found, best, [other.name for other in short]))
     step = Step(ground, scored, alike, tuple(refits), tuple(explanations), nothing_visible(()))

@@ -1,7 +1,7 @@
 """A model with one effect more, fitted again from where the fit without it stood.
 
-The Monte Carlo of the base fit stays the anchor: what the effect changes is the twin's difference. An effect that the
-twin cannot represent is a straight line instead: its Monte Carlo derivative times a size (`Discrepancy`).
+The Monte Carlo of the base fit stays the anchor: what the effect changes is the twin's difference. Derivatives stay
+those of the base fit and of the score test (`frozen`); what is kept is finished with its own.
 """
 
 from __future__ import annotations
@@ -16,8 +16,10 @@ from numpy.typing import NDArray
 from luxloop.effect import EffectParameter
 from luxloop.model import Fit as Limits
 from luxloop.model import Model
+from validation.diagnose.frozen import FrozenCurves, FrozenImages, Slopes
 from validation.effects.known import applied, off_values, with_effect
 from validation.fit import Fit, prior_chi2, refitted, unknowns_of
+from validation.fit.problem import CurvePredictor, ImagePredictor
 
 if TYPE_CHECKING:
     from validation.diagnose.score import Candidate, Score
@@ -71,32 +73,35 @@ def limits_of(one: EffectParameter) -> tuple[float, float]:
     return one.lower, one.upper
 
 
-def refit(base: Fit, score: Score, paths: Sequence[str]) -> Refitted:
-    """The fit with an effect; `paths`: the model's parameters that move beside it."""
+def refit(base: Fit, score: Score, slopes: Slopes) -> Refitted:
+    """The fit with an effect; `slopes`: those of the model's own parameters, which move beside it (`slopes_of`)."""
     if score.candidate.is_group:
         return spread(base, score.candidate)
     if score.candidate.is_switch:
-        return switched(base, score.candidate, paths)
-    return freed(base, score, paths)
+        return switched(base, score.candidate, slopes)
+    return freed(base, score, slopes)
 
 
-def freed(base: Fit, score: Score, paths: Sequence[str]) -> Refitted:
+def freed(base: Fit, score: Score, slopes: Slopes) -> Refitted:
     """The effect's parameter is one more unknown, begun where the score test expects it."""
     candidate = score.candidate
     lower, upper = limits_of(candidate.parameter)
     least = LEAST_SHARE * (upper - lower)
     start = float(np.clip(candidate.value(score.size), lower + least, upper - least))
     path = path_of(candidate.effect.name, candidate.parameter.name)
-    found = _again(base, added(base.model, candidate, start), paths, {path: start})
+    squares = frozenset([path] if candidate.parameter.score_variable == "square" else [])
+    model = added(base.model, candidate, start)
+    lines = frozenset() if candidate.effect.twin else frozenset([candidate.effect.name])
+    found = _again(base, model, {**slopes, path: candidate.parts}, {path: start}, squares, lines)
     return Refitted(
         candidate, found.value(path), found.error(path), found.residual, _chi2(found), path in found.at_limit,
         found.model, found,
     )  # fmt: skip
 
 
-def switched(base: Fit, candidate: Candidate, paths: Sequence[str]) -> Refitted:
+def switched(base: Fit, candidate: Candidate, slopes: Slopes) -> Refitted:
     """The effect is there, with the word of its shape."""
-    found = _again(base, added(base.model, candidate, None), paths, {})
+    found = _again(base, added(base.model, candidate, None), slopes, {})
     return Refitted(candidate, 1.0, 0.0, found.residual, _chi2(found), False, found.model, found)
 
 
@@ -121,36 +126,76 @@ def spread(base: Fit, candidate: Candidate) -> Refitted:
     )  # fmt: skip
 
 
-def shaped(found: Refitted, paths: Sequence[str]) -> Refitted:
-    """The same with the numbers that shape the effect free too: before another effect is looked for.
+def finished(found: Refitted, predictor: ImagePredictor, curves: CurvePredictor | None) -> Refitted:
+    """The same with derivatives of its own, and the numbers that shape the effect free, where the data hold them.
 
-    They are left as they are where the effect has none, is no number, or the data do not hold them.
+    Before another effect is looked for, and before a model is written: a wrong shape asks for a spurious effect.
     """
     spec, fit = found.candidate.effect, found.fit
+    if fit is None:
+        return found
+    if not spec.twin:
+        return _at_its_value(found, fit)
+    problem = replace(fit.problem, predictor=predictor, predict_curves=curves)
+    own = refitted(problem, fit.values)
     shapes = [one for one in spec.parameters if one.off is None and not one.choices and one.shape_grid]
-    if fit is None or found.candidate.is_switch or not shapes:
+    if shapes and not found.candidate.is_switch:
+        limits = {path_of(spec.name, one.name): limits_of(one) for one in shapes}
+        opened = {path: Limits(free=True, lower=low, upper=high) for path, (low, high) in limits.items()}
+        model = own.model.model_copy(update={"fit": own.model.fit | opened})
+        start = own.problem.unknowns.named(own.values) | {path: own.model.leaves()[path] for path in limits}
+        better = _moved(own, model, (*own.problem.unknowns.model_paths, *limits), start)
+        if better.converged and not any(path in better.at_limit for path in limits):
+            own = better
+    return _with(found, own)
+
+
+def _at_its_value(found: Refitted, fit: Fit) -> Refitted:
+    """The same about Monte Carlo at the effect's own value, where its line begins: the twin cannot represent it."""
+    anchor = fit.problem.anchor
+    if anchor is None or not anchor.histories:
         return found
-    limits = {path_of(spec.name, one.name): limits_of(one) for one in shapes}
-    here = {path: fit.model.leaves()[path] for path in limits}
-    opened = {path: Limits(free=True, lower=low, upper=high) for path, (low, high) in limits.items()}
-    model = fit.model.model_copy(update={"fit": fit.model.fit | opened})
-    own = path_of(spec.name, found.candidate.parameter.name)
-    better = _again(fit, model, (*paths, own), here)
-    if not better.converged or any(path in better.at_limit for path in limits):
-        return found
+    moved = replace(anchor, model=fit.model, poses=tuple(fit.poses.values()))
+    return _with(found, refitted(replace(fit.problem, anchor=moved), fit.values))
+
+
+def _with(found: Refitted, fit: Fit) -> Refitted:
+    """The same with another fit of its model."""
+    switch = found.candidate.is_switch
+    path = path_of(found.candidate.effect.name, found.candidate.parameter.name)
     return replace(
-        found, value=better.value(own), error=better.error(own), residual=better.residual, chi2=_chi2(better),
-        at_limit=own in better.at_limit, model=better.model, fit=better,
+        found, value=1.0 if switch else fit.value(path), error=0.0 if switch else fit.error(path),
+        residual=fit.residual, chi2=_chi2(fit), at_limit=path in fit.at_limit, model=fit.model, fit=fit,
     )  # fmt: skip
 
 
-def _again(base: Fit, model: Model, paths: Sequence[str], start: dict[str, float]) -> Fit:
-    """The fit of another model about the same anchor, from where the base stood; keys of `start` are free too."""
+def _again(
+    base: Fit,
+    model: Model,
+    slopes: Slopes,
+    start: dict[str, float],
+    squares: frozenset[str] = frozenset(),
+    lines: frozenset[str] = frozenset(),
+) -> Fit:
+    """The fit of another model about the same anchor, from where the base stood, with slopes that stay."""
+    problem = base.problem
+    curves = problem.predict_curves
+    frozen = replace(
+        base,
+        problem=replace(
+            problem,
+            predictor=FrozenImages(problem.predictor, slopes, squares, lines),
+            predict_curves=None if curves is None else FrozenCurves(curves, slopes, squares, len(problem.images)),
+        ),
+    )
+    return _moved(frozen, model, tuple(slopes), problem.unknowns.named(base.values) | start)
+
+
+def _moved(base: Fit, model: Model, paths: Sequence[str], start: dict[str, float]) -> Fit:
     problem, known = base.problem, base.problem.unknowns
     films = [one for one in known.parameters if one.name in known.other_paths]
-    unknowns = unknowns_of(model, (*paths, *start), problem.images, problem.curves, films, problem.discrepancies)
-    by_name = known.named(base.values) | start
-    values = np.array([by_name[name] for name in unknowns.names])
+    unknowns = unknowns_of(model, paths, problem.images, problem.curves, films, problem.discrepancies)
+    values = np.array([start[name] for name in unknowns.names])
     return refitted(replace(problem, model=model, unknowns=unknowns), values)
 
 

@@ -43,6 +43,8 @@ class Candidate:
     parameter: EffectParameter
     shape: tuple[tuple[str, Value], ...]
     columns: Real
+    parts: tuple[Real, ...] = ()
+    """Of a single column: the images in 1/mm^2 (row, column), then the curves, that it is whitened from."""
     is_switch: bool = False
     """Whether it is there or not: its column is the whole way from off to its shape, its size 1."""
 

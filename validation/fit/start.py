@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import fftconvolve
+from scipy import fft
 
 from validation.fit.parameters import tied
 from validation.fit.problem import Problem
@@ -48,7 +48,7 @@ def start_values(problem: Problem, given: Mapping[str, float]) -> Real:
 def coarse_shift_px(image: MeasuredImage, predicted: Real) -> tuple[int, int]:
     """How many whole pixels (row, column) the prediction must move to lie best on the image."""
     measured = np.where(image.used, image.signal_dn - image.signal_dn[image.used].mean(), 0.0)
-    overlap = fftconvolve(measured, (predicted - predicted.mean())[::-1, ::-1], mode="same")
+    overlap = _convolved(measured, (predicted - predicted.mean())[::-1, ::-1])
     rows, columns = overlap.shape
     near_row, near_column = max(1, int(FURTHEST * rows)), max(1, int(FURTHEST * columns))
     middle = ((rows - 1) // 2, (columns - 1) // 2)
@@ -58,6 +58,14 @@ def coarse_shift_px(image: MeasuredImage, predicted: Real) -> tuple[int, int]:
     ]
     row, column = np.unravel_index(int(np.argmax(window)), window.shape)
     return int(row) - min(near_row, middle[0]), int(column) - min(near_column, middle[1])
+
+
+def _convolved(one: Real, other: Real) -> Real:
+    """The middle part of the convolution of two maps of one shape; scipy.signal takes half a second to import."""
+    whole = tuple(fft.next_fast_len(2 * count - 1, real=True) for count in one.shape)
+    full = fft.irfft2(fft.rfft2(one, whole) * fft.rfft2(other, whole), whole)
+    (row, rows), (column, columns) = (((count - 1) // 2, count) for count in one.shape)
+    return np.asarray(full[row : row + rows, column : column + columns])
 
 
 def _line(image: MeasuredImage, predicted: Real) -> tuple[float, float]:

@@ -41,6 +41,8 @@ ANCHOR_FUNCTIONS = 200
 JACOBIAN_EXITS, FINE_EXITS = 65_536, 262_144
 """Whose exits columns are taken with, on the way to an anchor and about it: there a fit rests on them, and with fewer
 their own noise adds to its errors (decision 27)."""
+DIFFERENCE_HISTORIES = 1_000_000
+"""Of Monte Carlo, where the twin cannot represent an effect that is moved."""
 DIFFERENCE_EXITS = 262_144
 """Of moved models: each has a walk of its own, and more noise."""
 
@@ -62,6 +64,8 @@ class Wanted:
     paths: tuple[str, ...]
     anchor: Anchored | None
     film_of: FilmOf
+    beyond_twin: frozenset[str] = frozenset()
+    """Names of effects that the twin cannot represent."""
 
     @property
     def exit_seed(self) -> str:
@@ -97,7 +101,7 @@ def predict(wanted: Wanted, views: Sequence[View], ask: Ask) -> list[Predicted]:
         raise InputError("anchor.poses", len(at.poses), f"{len(views)}, one for each view, or none")
     groups = list(_groups(views, times + ANCHOR_FUNCTIONS * (at is not None)))
     moves = list(_moves(wanted, views))
-    further = list(_groups([views[move.view] for move in moves], 1))
+    further = [group for some in _by_path(moves) for group in _groups_of(some, moves, views)]
     requests = [_image_request(wanted, views, group) for group in groups]
     requests += [_column_request(wanted, views, group) for group in groups if wanted.columns]
     requests += [_difference_request(wanted, views, [moves[n] for n in some]) for some in further]
@@ -192,9 +196,14 @@ def _column_request(wanted: Wanted, views: Sequence[View], group: Sequence[int])
 
 
 def _difference_request(wanted: Wanted, views: Sequence[View], moves: Sequence[_Move]) -> PredictionRequest:
-    """The images of moved models."""
+    """The images of moved models; by Monte Carlo with the same random numbers where the twin does not know them."""
     shots = tuple(_shot(move.model, _about(views[move.view]), wanted.film_of) for move in moves)
-    return PredictionRequest(shots=shots, exit_histories=DIFFERENCE_EXITS, exit_seed=wanted.exit_seed)
+    anchor = None
+    if any(effect.name in wanted.beyond_twin for effect in wanted.model.effects):
+        traced = any(path.split(".")[1] in wanted.beyond_twin for path in {move.path for move in moves})
+        seed = 1 if wanted.anchor is None else wanted.anchor.seed
+        anchor = AnchorRequest(histories=DIFFERENCE_HISTORIES if traced else 0, seed=str(seed))
+    return PredictionRequest(shots=shots, exit_histories=DIFFERENCE_EXITS, exit_seed=wanted.exit_seed, anchor=anchor)
 
 
 def _about(view: View) -> View:
@@ -231,6 +240,19 @@ def _moves(wanted: Wanted, views: Sequence[View]) -> Iterator[_Move]:
         at = wanted.model if wanted.anchor is None or of_effect else wanted.anchor.model
         for weight, model in moved_models(at, path):
             yield from (_Move(path, weight, model, number) for number in range(len(views)))
+
+
+def _by_path(moves: Sequence[_Move]) -> list[list[int]]:
+    """Numbers of moves by path: each path is asked for by itself."""
+    found: dict[str, list[int]] = {}
+    for number, move in enumerate(moves):
+        found.setdefault(move.path, []).append(number)
+    return list(found.values())
+
+
+def _groups_of(some: Sequence[int], moves: Sequence[_Move], views: Sequence[View]) -> Iterator[list[int]]:
+    for group in _groups([views[moves[n].view] for n in some], 1):
+        yield [some[k] for k in group]
 
 
 def _groups(views: Sequence[View], times: int) -> Iterator[list[int]]:

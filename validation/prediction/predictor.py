@@ -7,9 +7,10 @@ from copy import copy
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from luxloop.errors import RemoteError
+from luxloop.ray import EffectsRequest
 from validation.prediction import far_fields, images, spectra
 from validation.prediction.film_tables import FilmTables
-from validation.prediction.words import Anchored, Asks, Curve, FarView, Predicted, PredictedCurve, View
+from validation.prediction.words import POSE_COLUMNS, Anchored, Asks, Curve, FarView, Predicted, PredictedCurve, View
 
 if TYPE_CHECKING:
     from luxloop.client import Answer
@@ -29,6 +30,7 @@ class Predictor:
     def __init__(self, client: Asks) -> None:
         self._client, self._films = client, FilmTables(client)
         self._progress: Progress | None = None
+        self._known_beyond: frozenset[str] | None = None
 
     def telling(self, progress: Progress) -> Predictor:
         """The same; `progress` is told the share done of each long answer, and what is done, from several threads."""
@@ -52,8 +54,17 @@ class Predictor:
         InputError : a path that is not in the model or cannot move.
         RemoteError : what a worker refuses, with the field of its shot.
         """
-        wanted = images.Wanted(model, tuple(paths), anchor, self._films.of)
+        wanted = images.Wanted(model, tuple(paths), anchor, self._films.of, self._beyond_twin(model, paths))
         return self._again(lambda: images.predict(wanted, views, self._answers))
+
+    def _beyond_twin(self, model: Model, paths: Sequence[str]) -> frozenset[str]:
+        """Effects that the twin cannot represent; asked once, where a model with effects is differentiated."""
+        if not model.effects or all(path in POSE_COLUMNS for path in paths):
+            return frozenset()
+        if self._known_beyond is None:
+            told = self._client.run(EffectsRequest(), fresh=True).result["effects"]
+            self._known_beyond = frozenset(one["name"] for one in told if not one.get("twin", True))
+        return self._known_beyond
 
     def monte_carlo(
         self, model: Model, views: Sequence[View], histories: int, seed: int, heard: Heard | None = None

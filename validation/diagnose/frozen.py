@@ -1,0 +1,117 @@
+"""A predictor whose derivatives stay as they were: what makes a refit with one effect more quick.
+
+The images are asked for at every step, so where the fit ends is right whatever the derivatives are; they only say
+where to go, and how sure the end is. Poses are differentiated on each image's own map, as always. An effect whose
+image goes with its square has the slope 2 p times that of p^2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from luxloop.model import Model
+from validation.fit import CurveData, Fit
+from validation.fit.problem import CurvePredictor, ImagePredictor
+from validation.prediction import POSE_COLUMNS, Anchored, Predicted, PredictedCurve, View
+
+Real = NDArray[np.float64]
+
+Slopes = Mapping[str, Sequence[Real]]
+"""By path: derivatives of the images in 1/mm^2, then of the curves."""
+
+
+@dataclass(frozen=True, eq=False)
+class FrozenImages:
+    """Images as a predictor has them, with given derivatives by the model's parameters."""
+
+    predictor: ImagePredictor
+    slopes: Slopes
+    squares: frozenset[str]
+    """Paths whose slopes are by the square."""
+    lines: frozenset[str] = frozenset()
+    """Effects that the twin cannot represent: the image is a straight line from where the anchor has them."""
+
+    def images(
+        self, model: Model, views: Sequence[View], paths: Sequence[str] = (), anchor: Anchored | None = None
+    ) -> list[Predicted]:
+        """The images of all views of the problem, in its order."""
+        asked, along = self._as_anchored(model, anchor)
+        found = self.predictor.images(asked, views, [path for path in paths if path in POSE_COLUMNS], anchor)
+        wanted = [path for path in paths if path not in POSE_COLUMNS]
+        factors = {path: _factor(model, path, self.squares) for path in wanted}
+        affected = []
+        for number, one in enumerate(found):
+            slopes = {path: factors[path] * self.slopes[path][number] for path in wanted}
+            added = sum((by * self.slopes[path][number] for path, by in along.items()), np.zeros(1))
+            twin = None if one.twin_per_mm2 is None else one.twin_per_mm2 + added
+            affected.append(
+                replace(
+                    one,
+                    irradiance_per_mm2=one.irradiance_per_mm2 + added,
+                    twin_per_mm2=twin,
+                    jacobian_per_mm2=one.jacobian_per_mm2 | slopes,
+                )
+            )
+        return affected
+
+    def _as_anchored(self, model: Model, anchor: Anchored | None) -> tuple[Model, dict[str, float]]:
+        """The model with its lines as the anchor has them, and how far each path has gone from there."""
+        if not self.lines:
+            return model, {}
+        there = {} if anchor is None else {effect.name: effect for effect in anchor.model.effects}
+        kept = [there.get(one.name) if one.name in self.lines else one for one in model.effects]
+        asked = model.model_copy(update={"effects": tuple(one for one in kept if one is not None), "fit": {}})
+        leaves, at = model.leaves(), {} if anchor is None else anchor.model.leaves()
+        along = {}
+        for path in self.slopes:
+            if path.startswith("effects.") and path.split(".")[1] in self.lines:
+                power = 2 if path in self.squares else 1
+                along[path] = float(leaves[path]) ** power - float(at.get(path, 0.0)) ** power
+        return asked, along
+
+
+@dataclass(frozen=True, eq=False)
+class FrozenCurves:
+    """Curves as their predictor has them, with given derivatives by effects; those by films are its own."""
+
+    predict: CurvePredictor
+    slopes: Slopes
+    squares: frozenset[str]
+    images: int
+    """How many images come before the curves in the slopes."""
+
+    def __call__(
+        self, model: Model, curves: Sequence[CurveData], paths: Sequence[str], others: Mapping[str, float]
+    ) -> list[PredictedCurve]:
+        """The curves of the problem, in its order."""
+        frozen = [path for path in paths if path in self.slopes]
+        found = self.predict(model, curves, [path for path in paths if path not in frozen], others)
+        factors = {path: _factor(model, path, self.squares) for path in frozen}
+        return [
+            replace(
+                one,
+                jacobian=one.jacobian
+                | {path: factors[path] * self.slopes[path][self.images + number] for path in frozen},
+            )
+            for number, one in enumerate(found)
+        ]
+
+
+def slopes_of(fit: Fit) -> dict[str, list[Real]]:
+    """The derivatives at a fit, by path of the model."""
+    at = fit.problem.evaluate(fit.values)
+    return {
+        path: [
+            *(one.jacobian_per_mm2[path] for one in at.predicted),
+            *(one.jacobian.get(path, np.zeros_like(one.value)) for one in at.predicted_curves),
+        ]
+        for path in fit.problem.unknowns.model_paths
+    }
+
+
+def _factor(model: Model, path: str, squares: frozenset[str]) -> float:
+    return 2.0 * float(model.leaves()[path]) if path in squares else 1.0
