@@ -18,7 +18,7 @@ from validation.comparing import Solver
 from validation.contrasts.null import Variances, null
 from validation.contrasts.structure import DRAWS, fit_layout, fit_projection, judged
 from validation.diagnose.columns import FitSight, candidates_of
-from validation.diagnose.diagnosis import Diagnosis, Ground, Step, best_of, diagnosed
+from validation.diagnose.diagnosis import Diagnosis, Ground, Step, diagnosed
 from validation.diagnose.frozen import slopes_of
 from validation.diagnose.next_measurement import Proposal, Rivals, next_in_words
 from validation.diagnose.refit import Refitted, finished, refit
@@ -50,6 +50,8 @@ class Diagnosing:
     progress: Progress = silent
     proposals: list[Proposal] = field(default_factory=list)
     """Of the last verdict that could not tell effects apart."""
+    refused: dict[str, str] = field(default_factory=dict)
+    """Effects that cannot be had with these samples, with the reason."""
 
     def fitted(self, model: Model) -> Fit:
         """A model on these data; effects in it are fitted where its [fit] tables free them."""
@@ -84,20 +86,24 @@ class Diagnosing:
 
     @property
     def untested(self) -> list[str]:
-        """Effects that these data cannot show, with the reason."""
+        """Effects that these data cannot show, with the reason; those that samples refuse after a diagnosis."""
         names = {one.name for one in self.effects}
         left = [one for one in self.known.specs if one.name not in names]
         why = {True: "there are no spectra of films", False: "there are no images of modules"}
-        return [f"{one.name}: {why[is_of_film(one)]}" for one in left]
+        idle = [f"{one.name}: {why[is_of_film(one)]}" for one in left]
+        return idle + [f"{name}: {reason}" for name, reason in self.refused.items()]
 
     def signatures(self, found: Fit, effects: Sequence[EffectSpec]) -> list[Candidate]:
         """The whitened columns of effects at a fit."""
         sight = FitSight.of(found, self.predictor, self.known.specs, self.solver.seed)
-        return candidates_of(found, effects, sight, lambda share, name: self.progress(0.1 + 0.4 * share, name))
+        heard = lambda share, name: self.progress(0.1 + 0.4 * share, name)  # noqa: E731
+        return candidates_of(found, effects, sight, heard, self.refused)
 
     def scored(self, found: Fit, effects: Sequence[EffectSpec]) -> dict[str, Score]:
         """Effects at their best shape on a fit, by name; InputError for one that these data cannot show."""
         projected = Projected.of(self.signatures(found, effects), fit_projection(found))
+        for name, reason in self.refused.items():
+            raise InputError("EFFECT", name, "an effect that these samples can have", reason)
         if projected.untestable:
             name = projected.untestable[0]
             allowed, mend = "an effect that these data can show", "what is fitted anyway does all that it does"
@@ -139,10 +145,3 @@ class Diagnosing:
 def is_of_film(spec: EffectSpec) -> bool:
     """Whether an effect is one of films that are measured by themselves, not of modules."""
     return spec.name.startswith("film_")
-
-
-def best_name(found: Diagnosis) -> str:
-    """The effect that a diagnosis names first. ValueError where it names none."""
-    if not found.steps[0].verdict.set:
-        raise ValueError("a verdict that names no effect")
-    return best_of(found.steps[0]).name

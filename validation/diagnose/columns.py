@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from luxloop.effect import EffectSpec, Value
+from luxloop.errors import InputError, RemoteError
 from luxloop.model import Model
 from validation.diagnose.score import Candidate
 from validation.effects.known import acting, applied, off_values, shapes_of, with_effect
@@ -46,17 +47,30 @@ class FitSight(Sight):
 
 
 def candidates_of(
-    fit: Fit, effects: Sequence[EffectSpec], sight: Sight, heard: Callable[[float, str], None] = lambda *_: None
+    fit: Fit,
+    effects: Sequence[EffectSpec],
+    sight: Sight,
+    heard: Callable[[float, str], None] = lambda *_: None,
+    refused: dict[str, str] | None = None,
 ) -> list[Candidate]:
-    """All candidates of these effects; an effect that the data's films or modules refuse is left out.
+    """All candidates of these effects.
 
-    Raises RemoteError for what a worker refuses otherwise.
+    Parameters
+    ----------
+    refused : is told, by name, why an effect cannot be had with these samples (walls where the camera looks beyond
+        them, a layer that the film does not have); none: the RemoteError is raised.
     """
     projection, found = Projection.of(fit), list[Candidate]()
     for number, spec in enumerate(effects):
         heard(number / len(effects), spec.name)
-        for shape in shapes_of(spec):
-            found += _of_shape(fit, spec, shape, sight, projection)
+        try:
+            own = [one for shape in shapes_of(spec) for one in _of_shape(fit, spec, shape, sight, projection)]
+        except (InputError, RemoteError) as error:
+            if refused is None or (isinstance(error, RemoteError) and error.failure.code != "bad_input"):
+                raise
+            refused[spec.name] = str(error).removeprefix("bad_input: ")
+            continue
+        found += own
     return found
 
 

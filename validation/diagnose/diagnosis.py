@@ -21,9 +21,8 @@ from validation.contrasts import Region
 from validation.contrasts.null import Null, Projection, Variances
 from validation.contrasts.structure import Structure, judged
 from validation.diagnose import held_out as held
-from validation.diagnose.confounding import Confounding, confounding, left_beside
 from validation.diagnose.evidence import log_evidence
-from validation.diagnose.explained import Loudest, Share
+from validation.diagnose.explained import Loudest
 from validation.diagnose.frozen import slopes_of
 from validation.diagnose.refit import Refitted, finished, limits_of, refit
 from validation.diagnose.score import Candidate, EffectScore, Projected, Scores, scores
@@ -37,6 +36,7 @@ from validation.diagnose.verdict import (
     not_trustworthy,
     nothing_visible,
 )
+from validation.effects.confounding import Confounding, confounding, left_beside
 from validation.fit import Fit
 from validation.fit.whitening import variance_scale
 
@@ -280,7 +280,7 @@ def _explanation(
         value=found.value,
         error=found.error,
         drop=drop,
-        share=_share(ground, found.residual, scale),
+        share=ground.loudest.share(found.residual, scale),
         held_out=change,
         held_out_percent=percents,
         log_evidence=evidence,
@@ -290,10 +290,6 @@ def _explanation(
         sigma=length,
         sigma_rival=beside,
     )
-
-
-def _share(ground: Ground, residual: Real, scale: float) -> Share:
-    return ground.loudest.share(residual, scale)
 
 
 def _priors(fit: Fit) -> float:

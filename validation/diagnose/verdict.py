@@ -16,9 +16,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from validation.diagnose.confounding import TOLD_APART
 from validation.diagnose.explained import Share
 from validation.diagnose.held_out import Change
+from validation.effects.confounding import TOLD_APART
 
 Word = Literal["nothing_visible", "one_effect", "cannot_tell_apart", "none_of_the_known", "fit_not_trustworthy"]
 

@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 from luxloop.effect import EffectSpec, Value
 from luxloop.errors import RemoteError
 from luxloop.model import Model
+from validation.effects.confounding import confounding
 from validation.effects.confusing import Ground
 from validation.effects.known import Known, applied, off_values, typical, with_effect
-from validation.effects.signatures import Column, Projection, cosines, projected, signature
+from validation.effects.signatures import Column, Projection, projected, signature
 from validation.prediction import Predictor
 
 Real = NDArray[np.float64]
@@ -120,7 +121,7 @@ def likeness(
         except RemoteError:  # what cannot be predicted here cannot be compared with
             continue
         if theirs.any():
-            found.append((other.name, float(cosines({"one": mine, "other": theirs})[0, 1])))
+            found.append((other.name, abs(float(confounding({"one": mine, "other": theirs}).cosines[0, 1]))))
     return sorted(found, key=lambda pair: -pair[1])
 
 

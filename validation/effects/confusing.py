@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from luxloop.effect import EffectSpec
 from luxloop.errors import RemoteError
 from luxloop.model import Model
+from validation.effects.confounding import ALIKE, confounding
 from validation.effects.example_set import example_images, film_curves, film_projection
 from validation.effects.known import Known, acting, applied, far_end, typical, with_effect
 from validation.effects.signatures import (
@@ -19,8 +20,6 @@ from validation.effects.signatures import (
     Column,
     Projection,
     Sight,
-    cosines,
-    groups_of,
     projected,
     signature,
 )
@@ -30,9 +29,6 @@ from validation.prediction import Pose, Predictor, Sensor
 
 Real = NDArray[np.float64]
 Said = Callable[[str], None]
-
-ALIKE = 0.9
-"""|cosine| above which two effects are one group to the data."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,12 +115,11 @@ def confusion(ground: Ground, model: Model, specs: Sequence[EffectSpec], say: Sa
             sigma[spec.name] = sigma_of(spec, columns, rows[spec.name])
     imitated = tuple(name for name, one in rows.items() if not one.any())
     left = {name: one for name, one in rows.items() if name not in imitated}
-    cosine, names = cosines(left), list(left)
-    groups = sorted(groups_of(names, cosine, ALIKE), key=len, reverse=True)
-    order = [names.index(name) for group in groups for name in group]
+    found = confounding(left)
+    order = found.order
     return Confusion(
-        ground.name, tuple(names[n] for n in order), cosine[np.ix_(order, order)], sigma, imitated,
-        tuple(tuple(group) for group in groups), failed,
+        ground.name, tuple(found.names[n] for n in order), np.abs(found.cosines[np.ix_(order, order)]), sigma,
+        imitated, found.groups, failed,
     )  # fmt: skip
 
 

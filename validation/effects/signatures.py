@@ -2,7 +2,6 @@
 
     signature   (prediction with the effect moved by +h - by -h) / 2h, h in the score variable v: p, or p^2
     projected   whitened by the camera's noise; what calibration and nuisances can imitate taken out
-    cosines     between effects: 1 where the data cannot tell them apart
 
 Whole predictions are moved, so an effect's own code is never asked for a derivative. Where the twin cannot represent
 an effect, Monte Carlo runs at each moved model with the same random numbers.
@@ -262,43 +261,3 @@ def projected(columns: Sequence[Column], projection: Projection) -> Real:
     noise = COLUMN_ERROR * np.sqrt(np.maximum(in_all - in_alone, 0.0)) + ROUNDING * np.linalg.norm(found, axis=1)
     left[np.linalg.norm(left, axis=1) < noise] = 0.0
     return np.asarray(left)
-
-
-def cosines(effects: Mapping[str, Real]) -> Real:
-    """(effect, effect): the largest cosine between anything that one and anything that the other can do.
-
-    Parameters
-    ----------
-    effects : by name, the projected columns (column, row) of each; of several columns all combinations count (the
-        largest canonical correlation). 0 beside an effect that does nothing.
-    """
-    bases = [_orthonormal(columns) for columns in effects.values()]
-    found = np.eye(len(bases))
-    for i, one in enumerate(bases):
-        for j, other in enumerate(bases[:i]):
-            largest = np.linalg.norm(one @ other.T, 2) if len(one) and len(other) else 0.0
-            found[i, j] = found[j, i] = min(float(largest), 1.0)
-    return found
-
-
-def _orthonormal(columns: Real) -> Real:
-    """(direction, row) of unit length that span the columns."""
-    length = np.linalg.norm(columns, axis=1)
-    some: Real = columns[length > 0.0] / length[length > 0.0, None]
-    if not len(some):
-        return some
-    _, size, directions = np.linalg.svd(some, full_matrices=False)
-    return np.asarray(directions[size > 1e-6 * size[0]])
-
-
-def groups_of(names: Sequence[str], cosine: Real, least: float) -> list[list[str]]:
-    """Effects in groups: whoever is that close to one of a group belongs to it; each by itself where none is."""
-    left, groups = list(range(len(names))), []
-    while left:
-        group = [left.pop(0)]
-        for one in group:  # grows while it is walked through
-            near = [other for other in left if cosine[one, other] > least]
-            group += near
-            left = [other for other in left if other not in near]
-        groups.append([names[one] for one in sorted(group)])
-    return groups

@@ -7,8 +7,8 @@ import pytest
 
 from luxloop.effect import EffectParameter, EffectSpec
 from validation.contrasts.null import Projection
-from validation.diagnose.confounding import confounding, left_beside
 from validation.diagnose.score import Candidate, Projected, scores
+from validation.effects.confounding import confounding, left_beside
 
 ROWS = 400
 RANDOM = np.random.default_rng(5)

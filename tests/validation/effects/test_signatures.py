@@ -11,9 +11,10 @@ import pytest
 from luxloop.effect import EffectParameter, EffectSpec
 from luxloop.model import Model
 from validation.dataset.manifest import Sample
+from validation.effects.confounding import Confounding, confounding
 from validation.effects.known import applied as applied_to
 from validation.effects.known import far_end, off_values, shapes_of, stanza, typical, with_effect
-from validation.effects.signatures import Projection, Sight, cosines, groups_of, projected, signature
+from validation.effects.signatures import Projection, Sight, projected, signature
 from validation.fit.whitening import Whitening
 from validation.prediction import Predicted, View
 
@@ -126,9 +127,9 @@ def test_projection_takes_out_what_is_taken_and_only_that() -> None:
 def test_cosines_of_one_column_are_those_of_vectors_and_of_several_those_of_their_span() -> None:
     """An effect of two columns is the same as any combination of them."""
     x, y, z = np.eye(3)
-    found = cosines(
+    found = confounding(
         {"x": x[None], "tilted": (x + y)[None], "both": np.array([x, y]), "z": z[None], "no": 0 * x[None]}
-    )
+    ).cosines
     np.testing.assert_allclose(found[0], [1.0, np.sqrt(0.5), 1.0, 0.0, 0.0], atol=1e-12)
     np.testing.assert_allclose(found[2, 1], 1.0)
     np.testing.assert_array_equal(found, found.T)
@@ -137,7 +138,7 @@ def test_cosines_of_one_column_are_those_of_vectors_and_of_several_those_of_thei
 def test_groups_are_chains_of_likeness() -> None:
     """a is like b and b like c: one group, though a and c are not; d is alone."""
     cosine = np.array([[1.0, 0.95, 0.5, 0.1], [0.95, 1.0, 0.95, 0.1], [0.5, 0.95, 1.0, 0.1], [0.1, 0.1, 0.1, 1.0]])
-    assert groups_of(["a", "b", "c", "d"], cosine, 0.9) == [["a", "b", "c"], ["d"]]
+    assert Confounding(("a", "b", "c", "d"), cosine).groups == (("a", "b", "c"), ("d",))
 
 
 def test_values_off_typical_and_of_shapes() -> None:

@@ -59,8 +59,8 @@ def confounding(columns: dict[str, Real]) -> Confounding:
     for i, one in enumerate(names):
         for j in range(i):
             product = roots[one] @ roots[names[j]].T
-            single = product.size == 1
-            cosines[i, j] = cosines[j, i] = product[0, 0] if single else np.linalg.norm(product, 2)
+            largest = np.linalg.norm(product, 2) if product.size > 1 else product.sum()
+            cosines[i, j] = cosines[j, i] = largest
     return Confounding(names, np.clip(cosines, -1.0, 1.0))
 
 

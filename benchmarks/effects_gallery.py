@@ -1,0 +1,261 @@
+"""The gallery of effects: a small picture of each one's signature, and docs/effects.md with all that is said of it.
+
+    python -m benchmarks.effects_gallery [--only NAME] [--words]
+
+The workers are asked for the catalogue and predict the example of `luxloop effects show` without and with each
+effect, by the twin, or by Monte Carlo with the same random numbers where the twin cannot represent it. `--only` draws
+one picture anew; `--words` writes the text about the pictures that are there.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Iterator, Mapping
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from PIL import Image
+
+from luxloop.client import Client
+from luxloop.effect import EffectParameter, EffectSpec
+from luxloop.model_file import find_model
+from luxloop.settings import load_settings
+from validation.effects.known import Known
+from validation.effects.showing import shown, values_of
+from validation.prediction import Predictor
+from viewer.look import BLUE, GREY, INK, ORANGE, TEXT
+
+Document = Mapping[str, Any]
+Arrays = Mapping[str, NDArray[np.float64]]
+
+DOCS = Path(__file__).parents[1] / "docs"
+PICTURES = DOCS / "images" / "effects"
+FACTS = PICTURES / "facts.json"
+"""Beside the pictures: values they were drawn with, and how large the difference is."""
+DPI, COLOURS = 80, 64
+PATIENCE_S = 600.0
+
+STAGES = {
+    "stack": "Stack: the layers of a chip's mirror, or of a film that was measured",
+    "surface": "Surface: what reflects, scatters or records",
+    "volume": "Volume: what light passes through",
+    "emission": "Emission: what shines, where and how strongly",
+    "geometry": "Geometry: where things lie",
+    "module": "Module: what is of several parts at once",
+    "detector": "Detector: the camera, or the instrument that measures a film",
+}
+GROUPS = {
+    "shape of the lobe": (
+        "dipole_orientation", "receiver_btdf", "chip_absorption", "distance_error", "receiver_volume_scatter",
+        "camera_psf",
+    ),
+    "long tail": ("veiling_glare", "substrate_lobe", "substrate_leak", "receiver_specular"),
+    "strength of the mirror": (
+        "dbr_roughness", "dbr_index_error", "dbr_absorption", "dbr_thickness_error", "side_wall_roughness",
+    ),
+    "places": ("chip_position_errors", "magnification", "distortion"),
+    "field": ("chip_power_spread", "vignetting", "dead_chip"),
+}  # fmt: skip
+"""Effects that one distance and six images hardly tell apart."""
+NOTES = {
+    "chip_position_errors": "it contains the other two",
+    "chip_power_spread": "it contains the other two",
+    "nonlinearity": "vignetting, less closely: both darken what is bright in the middle",
+    "current_crowding": "a shift of the image, which every fit allows; little of it is left",
+    "active_layer_depth": "dbr_thickness_error, less closely",
+    "receiver_tilt": "chip_power_spread, less closely",
+    "edge_walls": "nonlinearity, less closely",
+    "film_missing_layer": "film_interlayer, and the film's own thickness where that is free",
+    "film_interlayer": "film_missing_layer, and the film's own thickness where that is free",
+}
+"""What a group does not say."""
+APART = {
+    "shape of the lobe": "an array at a smaller distance (100 um)",
+    "long tail": "an array, or a single chip with 5.5 pairs, at a smaller distance (100 um)",
+    "strength of the mirror": "an array with more pairs (9.5)",
+    "places": "an image of a grid target with the same lens; less so an array at 100 um",
+    "field": "an image of an even source (flat field) with the same lens",
+}
+
+
+def draw(document: Document, arrays: Arrays, path: Path) -> None:
+    """A signature as a small PNG of few colours: the difference and a cut, or a film's curves."""
+    with rc_context(TEXT | {"font.size": 7.5}):
+        figure = _image(arrays) if document["kind"] == "image" else _curves(arrays)
+        file = BytesIO()
+        figure.savefig(file, format="png", dpi=DPI, facecolor="white")
+    Image.open(file).convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE).save(path, optimize=True)
+
+
+def _image(arrays: Arrays) -> Figure:
+    figure = Figure(figsize=(7.2, 2.3), layout="constrained")
+    area, cut, beside = figure.subplots(1, 3, width_ratios=(1.15, 1.0, 1.0))
+    x_mm, y_mm = arrays["x_um"] / 1e3, arrays["y_um"] / 1e3
+    base, after = arrays["base"], arrays["with"]
+    difference = 100.0 * (after - base) / base.mean()
+    most = float(np.abs(difference).max())
+    extent = (x_mm[0], x_mm[-1], y_mm[0], y_mm[-1])
+    drawn = area.imshow(difference, origin="lower", extent=extent, cmap="RdBu_r", vmin=-most, vmax=most)
+    figure.colorbar(drawn, ax=area)
+    area.set_title("difference, % of the mean")
+    middle = len(base) // 2
+    cut.plot(x_mm, base[middle] / base.mean(), color=INK, linewidth=1.0, label="without")
+    cut.plot(x_mm, after[middle] / base.mean(), color=ORANGE, linewidth=1.0, label="with")
+    cut.set_ylim(0.0, None)
+    cut.set_title("middle row, over the mean")
+    cut.legend()
+    beside.axhline(0.0, color=GREY, linewidth=0.8)
+    beside.plot(x_mm, difference[middle], color=BLUE, linewidth=1.0)
+    beside.set_title("middle row, difference in %")
+    for axes in (area, cut, beside):
+        axes.set_xlabel("x (mm)")
+    return figure
+
+
+def _curves(arrays: Arrays) -> Figure:
+    figure = Figure(figsize=(7.2, 2.1), layout="constrained")
+    labels = {"R": "R at 0°", "T": "T at 0°", "psi": "psi at 70° (deg)", "delta": "delta at 70° (deg)"}
+    flat = [name for name in labels if np.ptp(arrays[f"{name}/base"]) < 1e-9]
+    names = [name for name in labels if name not in flat]
+    for axes, name in zip(figure.subplots(1, len(names)), names, strict=True):
+        axes.plot(arrays["wavelength_nm"], arrays[f"{name}/base"], color=INK, linewidth=1.0, label="without")
+        axes.plot(arrays["wavelength_nm"], arrays[f"{name}/with"], color=ORANGE, linewidth=1.0, label="with")
+        axes.set_xlabel("wavelength (nm)")
+        axes.set_title(labels[name])
+    figure.axes[0].legend()
+    return figure
+
+
+# The words
+
+
+def page(specs: tuple[EffectSpec, ...], facts: Mapping[str, Document]) -> Iterator[str]:
+    """docs/effects.md, block by block."""
+    yield "# Effects"
+    yield (
+        f"The {len(specs)} effects of the catalogue, in the order in which they act. Each is a file of"
+        " [containers/effects](../containers/effects), acts on what its stage may change and on nothing else, and at"
+        " its off value gives back the very same model. How well each is predicted stands in"
+        " [figures](figures.md#effects); `luxloop effects new NAME --stage STAGE` writes one of your own."
+    )
+    yield (
+        "Pictures: what the effect does to a 5 x 5 array (D 180, W 40, S 500, T 20 um, 2.5 pairs, model `paper`) or"
+        " to 300 nm of a polymer on silicon, at a third of its range; `luxloop effects show NAME` draws it larger,"
+        " with values of your choice. This page is written by `python -m benchmarks.effects_gallery`."
+    )
+    yield _alike()
+    for stage, title in STAGES.items():
+        yield f"## {title}"
+        for spec in specs:
+            if spec.stage == stage:
+                yield from _effect(spec, facts.get(spec.name, {}))
+
+
+def _alike() -> str:
+    rows = [f"| {name} | {', '.join(map(_link, group))} | {APART[name]} |" for name, group in GROUPS.items()]
+    return "\n".join((
+        "## Easily mistaken for each other",
+        "With one distance and six images (single chip and array, three numbers of pairs) and the calibration free,"
+        " effects of a group can hardly be told apart; a diagnosis then names the group and the measurement that"
+        " would tell. `luxloop effects confusion DATASET --page map.html` shows what your own data can tell.\n",
+        "| group | effects | told apart by |",
+        "|---|---|---|",
+        *rows,
+    ))  # fmt: skip
+
+
+def _effect(spec: EffectSpec, facts: Document) -> Iterator[str]:
+    yield f"### {spec.name}"
+    yield f"{spec.description} `{spec.formula}`"
+    rows = [f"| `{one.name}` | {one.description} | {_range(one)} | {_off(one)} |" for one in spec.parameters]
+    yield "\n".join(("| parameter | what it is | range | off |", "|---|---|---|---|", *rows))
+    lines = [f"source: {spec.reference}", f"one value holds {_scope(spec)}; predicted by {_by(spec)}"]
+    lines.append(f"keeps {' and '.join(spec.conserves)}" if spec.conserves else "may change how much light there is")
+    lines += [f"not beside {', '.join(map(_link, spec.excludes))}"] if spec.excludes else []
+    lines += [f"easily mistaken for {mistaken}"] if (mistaken := _mistaken(spec.name)) else []
+    yield "\n".join(f"- {line}" for line in lines)
+    if (PICTURES / f"{spec.name}.png").exists():
+        yield f"![{spec.name}: difference and cut](images/effects/{spec.name}.png)"
+        yield f"*{_caption(facts)}*"
+    elif facts:
+        yield "*No picture: it changes neither the example module nor the example film.*"
+
+
+def _range(one: EffectParameter) -> str:
+    text = one.allowed.replace("|", "/")
+    grid = ", ".join(f"{value:g}" for value in one.shape_grid)
+    return f"{text}; a shape, tried at {grid}" if grid else text
+
+
+def _off(one: EffectParameter) -> str:
+    off = "-" if one.off is None else one.off if isinstance(one.off, str) else f"{one.off:g}"
+    return off + ("; counts by its square" if one.score_variable == "square" else "")
+
+
+def _scope(spec: EffectSpec) -> str:
+    return {"global": "for all data", "per_camera": "per camera", "per_sample": "per sample"}[spec.scope]
+
+
+def _by(spec: EffectSpec) -> str:
+    by = "the twin and by Monte Carlo" if spec.twin else "Monte Carlo alone: the twin cannot represent it"
+    return by + ("; it has no slope at off, so refits test it" if spec.discrete else "")
+
+
+def _mistaken(name: str) -> str:
+    others = [other for group in GROUPS.values() if name in group for other in group if other != name]
+    said = ", ".join(map(_link, others))
+    return " (".join(filter(None, (said, NOTES.get(name, "")))) + (")" if said and name in NOTES else "")
+
+
+def _link(name: str) -> str:
+    return f"[{name}](#{name})"
+
+
+def _caption(facts: Document) -> str:
+    values = ", ".join(f"{name} {_short(value)}" for name, value in facts["values"].items())
+    return f"{values}: {_size(facts)}" if facts["kind"] == "image" else values
+
+
+def _size(document: Document) -> str:
+    return f"{document['rms_percent']:.2g} % rms of the mean" if document["kind"] == "image" else "-"
+
+
+def _short(value: Any) -> str:
+    if isinstance(value, list | tuple):
+        return f"{min(value):g} and {max(value):g} in turn"
+    return f"{value:.3g}" if isinstance(value, float) else str(value)
+
+
+def main() -> None:
+    """Ask, draw, write."""
+    asked = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    asked.add_argument("--only", action="append", help="draw this one alone; can be given again")
+    asked.add_argument("--words", action="store_true", help="draw none")
+    given = asked.parse_args()
+    PICTURES.mkdir(parents=True, exist_ok=True)
+    facts: dict[str, Any] = json.loads(FACTS.read_text(encoding="utf-8")) if FACTS.exists() else {}
+    model = find_model("paper")
+    with Client(load_settings(), patience_s=PATIENCE_S) as client:
+        known, predictor = Known.ask(client), Predictor(client)
+        specs = tuple(spec for spec in known.specs if spec.source_sha256 is None)
+        for spec in () if given.words else specs:
+            if given.only and spec.name not in given.only:
+                continue
+            document, arrays = shown(predictor, known, model, spec, values_of(spec, []))
+            if arrays:
+                draw(document, arrays, PICTURES / f"{spec.name}.png")
+            kept = ("kind", "values", "rms_percent", "largest_percent")
+            facts[spec.name] = {name: document[name] for name in kept if name in document}
+            print(f"{spec.name:<26} {document['kind']:<8} {_size(document)}", flush=True)
+    FACTS.write_text(json.dumps(facts, indent=1, sort_keys=True) + "\n", encoding="utf-8")
+    (DOCS / "effects.md").write_text("\n\n".join(page(specs, facts)) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

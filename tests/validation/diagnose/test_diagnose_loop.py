@@ -1,0 +1,112 @@
+"""From images that do not match to an effect in the model, as a person walks it: real processes, real files."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from luxloop.effect import AppliedEffect
+from luxloop.journal.reader import RunJournal
+from luxloop.model_file import find_model, read_model, to_toml
+from luxloop.settings import Settings
+from tests.validation.test_loop import luxloop
+
+PLAN = """
+name = "two samples"
+[camera]
+pixel_um = 24.0
+bit_depth = 12
+gain_dn_per_e = 0.38
+read_noise_e = 6.0
+full_well_e = 10000.0
+black_level_dn = 64.0
+[[samples]]
+id = "single"
+layout = "single"
+distance_um = 180.0
+width_um = 40.0
+spacing_um = 400.0
+thickness_um = 20.0
+dbr_pairs = 0.0
+[[samples]]
+id = "four"
+layout = "array"
+rows = 2
+columns = 2
+distance_um = 180.0
+width_um = 40.0
+spacing_um = 300.0
+thickness_um = 20.0
+dbr_pairs = 2.5
+"""
+
+
+def told(settings: Settings, folder: Path, *argv: str) -> dict[str, Any]:
+    """The document of a command that succeeds."""
+    done = luxloop(settings, folder, *argv, "--json")
+    assert done.returncode == 0, done.stderr
+    found: dict[str, Any] = json.loads(done.stdout)
+    return found
+
+
+@pytest.mark.slow
+def test_a_hidden_effect_is_named_added_and_taken_out_again(settings: Settings, tmp_path: Path) -> None:
+    """Vignetting in two images: the verdict names it, add brings the error to the noise, the ladder shows it."""
+    hidden = AppliedEffect(name="vignetting", parameters={"corner_loss": 0.15, "law": "quadratic"})
+    truth = find_model("paper").model_copy(update={"effects": (hidden,)})
+    (tmp_path / "truth.toml").write_text(to_toml(truth), encoding="utf-8")
+    (tmp_path / "plan.toml").write_text(PLAN, encoding="utf-8")
+    made = ("dataset", "simulate", "data", "--model", "truth.toml", "--plan", "plan.toml", "--pixels", "42")
+    told(settings, tmp_path, *made, "--solver", "twin")
+    told(settings, tmp_path, "compare", "data", "--twin")
+    free = ("--free", "environment.substrate.reflectance")
+    found = told(settings, tmp_path, "diagnose", "--twin", *free)
+    assert (found["verdict"], found["set"][0]) in (("one_effect", "vignetting"), ("cannot_tell_apart", "vignetting"))
+    best = next(one for one in found["effects"] if one["name"] == "vignetting")
+    size = best["size"]["corner_loss"]
+    assert abs(size["value"] - 0.15) < 3.0 * size["error"]
+    assert best["held_out_after"] < best["held_out_before"]
+    journal = RunJournal(Path(found["folder"]))
+    (step,) = (one.value for one in journal.records("/validation") if one.value.command == "diagnose")
+    assert step.document["sentence"] == found["sentence"]
+
+    added = told(settings, tmp_path, "add", "vignetting", "--twin", *free)
+    assert added["after"]["fitted_percent"] < 1.1 * added["after"]["noise_percent"]
+    assert added["after"]["fitted_percent"] < added["before"]["fitted_percent"]
+    assert any(line.startswith("effects.vignetting.corner_loss") for line in added["diff"])
+    model = read_model(tmp_path / "model.toml")
+    assert [effect.name for effect in model.effects] == ["vignetting"]
+    again = luxloop(settings, tmp_path, "add", "vignetting", "--twin")
+    assert again.returncode == 2
+    assert "luxloop remove" in again.stderr
+
+    rungs = told(settings, tmp_path, "ladder")["rungs"]
+    assert [rung["effects"] for rung in rungs] == [[], ["vignetting"]]
+    assert rungs[1]["held_out_percent"] < rungs[0]["held_out_percent"]
+    taken = told(settings, tmp_path, "remove", "vignetting", "--twin", *free)
+    assert taken["after"]["p"] < 0.001
+    assert read_model(tmp_path / "model.toml").effects == ()
+    told(settings, tmp_path, "model", "undo")
+    assert [effect.name for effect in read_model(tmp_path / "model.toml").effects] == ["vignetting"]
+
+
+@pytest.mark.parametrize(
+    ("argv", "words"),
+    [
+        (("diagnose",), "model.toml"),
+        (("diagnose", "--model", "paper"), "luxloop compare DATASET comes first"),
+        (("next",), "luxloop diagnose comes first"),
+        (("remove", "vignetting", "--model", "paper"), "it has none"),
+        (("ladder", "--model", "paper"), "a version that was fitted"),
+        (("ladder", "--model", "paper", "--page", "ladder.txt"), ".html"),
+    ],
+)
+def test_what_is_missing_is_said(settings: Settings, tmp_path: Path, argv: tuple[str, ...], words: str) -> None:
+    """Before anything is started, with the mend and exit code 2."""
+    done = luxloop(settings, tmp_path, *argv)
+    assert done.returncode == 2, done.stderr
+    assert words in done.stderr
+    assert "Traceback" not in done.stderr
