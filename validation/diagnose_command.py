@@ -101,6 +101,9 @@ def facts_of(subject: Subject, at: Session) -> dict[str, Any]:
 
 def diagnose(
     model: ModelFile = "model.toml",
+    among: Annotated[
+        str | None, typer.Option(help="Effects to choose from, with commas; default: all that the workers know.")
+    ] = None,
     free: Free = None,
     twin: Twin = False,
     histories: Histories = HISTORIES,
@@ -124,6 +127,7 @@ def diagnose(
         "diagnose", model, free=free, histories=None if twin else histories, seed=seed, pixel_um=pixel_um, film=film,
         runs=runs, router=router, no_local=no_local, say=not (as_json or quiet),
     ) as (engine, subject, at):  # fmt: skip
+        engine.among = tuple(name.strip() for name in (among or "").split(",") if name.strip())
         found = engine.diagnosed()
         told_of = facts_of(subject, at) | document(found, engine.proposals, seed)
         told_of |= {"solver": engine.solver.document(), "not_tested": engine.untested}

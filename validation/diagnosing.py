@@ -50,6 +50,8 @@ class Diagnosing:
     progress: Progress = silent
     proposals: list[Proposal] = field(default_factory=list)
     """Of the last verdict that could not tell effects apart."""
+    among: tuple[str, ...] = ()
+    """Names of the effects to choose from; none: all."""
     refused: dict[str, str] = field(default_factory=dict)
     """Effects that cannot be had with these samples, with the reason."""
 
@@ -82,13 +84,17 @@ class Diagnosing:
         """Those that these data could show: of modules where there are images or far fields, of films else."""
         images = bool(self.observed.images) or any(curve.free_scale for curve in self.observed.curves)
         spectra = any(not curve.free_scale for curve in self.observed.curves)
-        return [one for one in self.known.specs if (spectra if is_of_film(one) else images)]
+        for name in self.among:
+            self.known.spec(name)
+        seen = [one for one in self.known.specs if (spectra if is_of_film(one) else images)]
+        return [one for one in seen if not self.among or one.name in self.among]
 
     @property
     def untested(self) -> list[str]:
         """Effects that these data cannot show, with the reason; those that samples refuse after a diagnosis."""
         names = {one.name for one in self.effects}
-        left = [one for one in self.known.specs if one.name not in names]
+        wanted = set(self.among) or {one.name for one in self.known.specs}
+        left = [one for one in self.known.specs if one.name not in names and one.name in wanted]
         why = {True: "there are no spectra of films", False: "there are no images of modules"}
         idle = [f"{one.name}: {why[is_of_film(one)]}" for one in left]
         return idle + [f"{name}: {reason}" for name, reason in self.refused.items()]

@@ -12,6 +12,7 @@ from typing import Any, get_args, get_type_hints
 import pytest
 from pydantic import Field
 
+from containers.effect import Effect
 from luxloop.units import UNITS, unit_of
 from luxloop.words import Words
 
@@ -22,6 +23,7 @@ PURE = {
     "n": "refractive index",
     "k": "extinction coefficient, the imaginary part of the index",
     "cauchy": "index, and its slope against 1 / um^2",
+    "plus": "added to refractive index and extinction coefficient",
     "fixed": "refractive index and extinction coefficient",
     "free": "limits by name; the names carry the units",
     "n_gan": "refractive index",
@@ -112,6 +114,8 @@ def words_of_the_house() -> list[type]:
     for module in modules():
         for value in vars(module).values():
             if not isinstance(value, type) or value.__module__ != module.__name__:
+                continue
+            if issubclass(value, Effect):  # its parameters state their units, "" too: `Effect.spec` refuses any other
                 continue
             in_hall = module.__name__.split(".")[0] == "luxloop" and dataclasses.is_dataclass(value)
             if issubclass(value, Words) or in_hall:
