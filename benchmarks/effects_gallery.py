@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -24,15 +25,20 @@ from PIL import Image
 
 from luxloop.client import Client
 from luxloop.effect import EffectParameter, EffectSpec
+from luxloop.model import Model
 from luxloop.model_file import find_model
 from luxloop.settings import load_settings
-from validation.effects.known import Known
-from validation.effects.showing import shown, values_of
-from validation.prediction import Predictor
+from validation.dataset.manifest import FilmLayer, FilmSample, Sample
+from validation.effects.example_set import FILM, MODULE, PEAK_SHARE
+from validation.effects.known import Known, applied, with_effect
+from validation.effects.showing import sensible, shown, values_of
+from validation.effects.signatures import Sight
+from validation.prediction import Curve, Predictor, View
 from viewer.look import BLUE, GREY, INK, ORANGE, TEXT
 
+Real = NDArray[np.float64]
 Document = Mapping[str, Any]
-Arrays = Mapping[str, NDArray[np.float64]]
+Arrays = dict[str, Real]
 
 DOCS = Path(__file__).parents[1] / "docs"
 PICTURES = DOCS / "images" / "effects"
@@ -40,6 +46,14 @@ FACTS = PICTURES / "facts.json"
 """Beside the pictures: values they were drawn with, and how large the difference is."""
 DPI, COLOURS = 80, 64
 PATIENCE_S = 600.0
+WINDOW_NM = 20_000.0
+GIVEN = {"dbr_layer_order": ["order=aln_first"]}
+"""Values other than those of `luxloop effects show`."""
+ALONE = {"electrode_shadow": ["dark_share=0.3"], "current_crowding": ["rise=0.3", "rim=0.3"]}
+"""What moves light about within a chip: less than the noise of new light on the array, so one chip shows it."""
+NOISY = {"receiver_tilt": ["tilt_x_per_mm=0.05"], "dbr_absorption": ["extinction=0.01"]}
+"""What one prediction of the module does not show for noise."""
+SEEDS, HISTORIES = range(1, 9), 2_000_000
 
 STAGES = {
     "stack": "Stack: the layers of a chip's mirror, or of a film that was measured",
@@ -84,6 +98,66 @@ APART = {
 }
 
 
+def shown_there(predictor: Predictor, known: Known, model: Model, spec: EffectSpec) -> tuple[Document, Arrays]:
+    """As `luxloop effects show`, but for two effects, which its example does not show, on one that does."""
+    if spec.name == "saturation":
+        return _saturated(predictor, model, spec)
+    if spec.name == "film_substrate_fringes":
+        return _fringes(predictor, model, spec)
+    if spec.name in ALONE | NOISY:
+        return _averaged(predictor, model, spec)
+    return shown(predictor, known, model, spec, values_of(spec, GIVEN.get(spec.name, [])))
+
+
+def _averaged(predictor: Predictor, model: Model, spec: EffectSpec) -> tuple[Document, Arrays]:
+    """One chip or the example module with the largest values, the mean of several runs of Monte Carlo."""
+    values = values_of(spec, (ALONE | NOISY)[spec.name])
+    view = View(MODULE, rows=41, columns=41, pixel_um=60.0, centre_px=(20.0, 20.0))
+    if spec.name in ALONE:
+        sample = Sample(id="alone", layout="single", **MODULE.design.model_dump())
+        view = View(sample, rows=25, columns=25, pixel_um=40.0, centre_px=(12.0, 12.0))
+    models = (model, with_effect(model, applied(spec, values)))
+    sights = [Sight(predictor, [view], histories=HISTORIES, seed=seed) for seed in SEEDS]
+    base, after = (np.mean([sight.parts(one, traced=True)[0] for sight in sights], axis=0) for one in models)
+    on = f"{'one chip, ' if spec.name in ALONE else ''}{len(SEEDS) * HISTORIES / 1e6:g} million histories"
+    return _image_facts(values, base, after, on), {"base": base, "with": after} | _axes(view)
+
+
+def _image_facts(values: Mapping[str, Any], base: Real, after: Real, on: str) -> Document:
+    rms = 100.0 * float(np.sqrt(np.mean((after - base) ** 2)) / base.mean())
+    return {"kind": "image", "values": values, "rms_percent": rms, "on": on}
+
+
+def _axes(view: View) -> Arrays:
+    sides = {"x_um": view.columns, "y_um": view.rows}
+    return {name: np.asarray((np.arange(n) - n // 2) * view.pixel_um, np.float64) for name, n in sides.items()}
+
+
+def _saturated(predictor: Predictor, model: Model, spec: EffectSpec) -> tuple[Document, Arrays]:
+    """The example module, exposed up to full scale."""
+    view = sensible(predictor, model)
+    assert view.sensor is not None
+    sensor = replace(view.sensor, gain_dn=view.sensor.gain_dn / PEAK_SHARE)
+    values = values_of(spec, ["knee=0.8"])
+    sight = Sight(predictor, [replace(view, sensor=sensor)])
+    (base,), (after,) = (sight.parts(one) for one in (model, with_effect(model, applied(spec, values))))
+    return _image_facts(values, base, after, "exposed up to full scale"), {"base": base, "with": after} | _axes(view)
+
+
+def _fringes(predictor: Predictor, model: Model, spec: EffectSpec) -> tuple[Document, Arrays]:
+    """The example film on a thin window instead of silicon."""
+    window = FilmLayer(material="SiO2", thickness_nm=WINDOW_NM, coherent=False)
+    film = FilmSample(id="window", exit="air", layers=(*FILM.layers, window))
+    wavelength_nm = np.linspace(540.0, 580.0, 161)
+    curves = [Curve(film, name, wavelength_nm, np.zeros(161), ["u"] * 161) for name in ("R", "T")]
+    values = values_of(spec, ["coherent_share=0.3"])
+    moved = with_effect(model, applied(spec, values))
+    found = {which: predictor.spectra(one, curves) for which, one in (("base", model), ("with", moved))}
+    arrays = {f"{name}/{which}": found[which][n].value for which in found for n, name in enumerate(("R", "T"))}
+    on = f"on {WINDOW_NM / 1e3:g} um of SiO2"
+    return {"kind": "curve", "values": values, "on": on}, arrays | {"wavelength_nm": wavelength_nm}
+
+
 def draw(document: Document, arrays: Arrays, path: Path) -> None:
     """A signature as a small PNG of few colours: the difference and a cut, or a film's curves."""
     with rc_context(TEXT | {"font.size": 7.5}):
@@ -121,8 +195,7 @@ def _image(arrays: Arrays) -> Figure:
 def _curves(arrays: Arrays) -> Figure:
     figure = Figure(figsize=(7.2, 2.1), layout="constrained")
     labels = {"R": "R at 0°", "T": "T at 0°", "psi": "psi at 70° (deg)", "delta": "delta at 70° (deg)"}
-    flat = [name for name in labels if np.ptp(arrays[f"{name}/base"]) < 1e-9]
-    names = [name for name in labels if name not in flat]
+    names = [name for name in labels if f"{name}/base" in arrays]
     for axes, name in zip(figure.subplots(1, len(names)), names, strict=True):
         axes.plot(arrays["wavelength_nm"], arrays[f"{name}/base"], color=INK, linewidth=1.0, label="without")
         axes.plot(arrays["wavelength_nm"], arrays[f"{name}/with"], color=ORANGE, linewidth=1.0, label="with")
@@ -146,8 +219,9 @@ def page(specs: tuple[EffectSpec, ...], facts: Mapping[str, Document]) -> Iterat
     )
     yield (
         "Pictures: what the effect does to a 5 x 5 array (D 180, W 40, S 500, T 20 um, 2.5 pairs, model `paper`) or"
-        " to 300 nm of a polymer on silicon, at a third of its range; `luxloop effects show NAME` draws it larger,"
-        " with values of your choice. This page is written by `python -m benchmarks.effects_gallery`."
+        " to 300 nm of a polymer on silicon, at a third of its range, or as the line below a picture says;"
+        " `luxloop effects show NAME` draws it larger, with values of your choice. This page is written by"
+        " `python -m benchmarks.effects_gallery`."
     )
     yield _alike()
     for stage, title in STAGES.items():
@@ -219,6 +293,7 @@ def _link(name: str) -> str:
 
 def _caption(facts: Document) -> str:
     values = ", ".join(f"{name} {_short(value)}" for name, value in facts["values"].items())
+    values += f", {facts['on']}" if "on" in facts else ""
     return f"{values}: {_size(facts)}" if facts["kind"] == "image" else values
 
 
@@ -247,10 +322,10 @@ def main() -> None:
         for spec in () if given.words else specs:
             if given.only and spec.name not in given.only:
                 continue
-            document, arrays = shown(predictor, known, model, spec, values_of(spec, []))
+            document, arrays = shown_there(predictor, known, model, spec)
             if arrays:
                 draw(document, arrays, PICTURES / f"{spec.name}.png")
-            kept = ("kind", "values", "rms_percent", "largest_percent")
+            kept = ("kind", "values", "rms_percent", "on")
             facts[spec.name] = {name: document[name] for name in kept if name in document}
             print(f"{spec.name:<26} {document['kind']:<8} {_size(document)}", flush=True)
     FACTS.write_text(json.dumps(facts, indent=1, sort_keys=True) + "\n", encoding="utf-8")

@@ -23,6 +23,9 @@ from viewer.look import save
 Document = Mapping[str, Any]
 Arrays = Mapping[str, NDArray[Any]]
 
+RAREST = 1e-9
+"""Smaller probabilities are told as smaller than this."""
+
 
 def draw(document: Document, arrays: Arrays, path: Path) -> None:
     """Write the page (.html) of a diagnosis, or the one picture that says most (.png, .svg, .pdf)."""
@@ -66,7 +69,7 @@ def _head(document: Document) -> Iterator[str]:
     rows = [
         (structure["p_text"], "structure p: how often noise alone leaves as much, before any effect is added"),
         (
-            f"{document['scores_p']:.2g}",
+            _rare(document["scores_p"]),
             f"how often noise alone makes any of {document['known']} effects score as well",
         ),
     ]
@@ -87,24 +90,14 @@ def _effects(document: Document) -> Iterator[str]:
             rows = [(one["name"], one["parameter"], number(one["value"]), one["unit"]) for one in document["limits"]]
             yield html.table(("effect", "parameter", "seen above", "unit"), rows, words=2, ending=1)
         return
-    heads = (
-        "effect",
-        "parameter",
-        "size",
-        "χ² drop",
-        "explains (%)",
-        "held-out error (%)",
-        "ln evidence",
-        "p left",
-        "",
-    )
+    heads = ("effect", "size", "χ² drop", "explains (%)", "held-out error (%)", "ln evidence", "p left")
     yield html.table(
         heads,
         [_effect(one) for one in document["effects"]],
         "Added one at a time and fitted with the model's own parameters. Explains: of the contrasts that were loudest"
-        " before. Held-out: all images of one sample left out in turn.",
+        " before. Held-out: all images of one sample left out in turn. P left: as the structure p, with the effect."
+        " Implausible: at an end of its range, or no gain.",
         words=2,
-        ending=1,
     )
 
 
@@ -114,16 +107,19 @@ def _effect(one: Document) -> tuple[str, ...]:
     if one["held_out_before"] is not None:
         held = f"{number(one['held_out_before'])} → {number(one['held_out_after'])}"
     return (
-        one["name"],
-        name,
-        f"{size['value']:.3g} ± {size['error']:.2g} {size['unit']}".rstrip(),
+        one["name"] + ("" if one["plausible"] else " (implausible)"),
+        f"{name} {size['value']:.3g} ± {size['error']:.2g} {size['unit']}".rstrip(),
         f"{one['chi2_drop']:.0f}",
         f"{100.0 * one['explained_share']:.0f} ± {100.0 * one['explained_share_error']:.0f}",
         held,
         NOTHING if one["log_evidence"] is None else f"{one['log_evidence']:.0f}",
         f"{one['p_left']:.2g}",
-        "" if one["plausible"] else "outside of its range, or no gain",
     )
+
+
+def _rare(p: float) -> str:
+    """A probability; a far tail, which nobody can count, as a bound."""
+    return f"{p:.2g}" if p >= RAREST else f"< {RAREST:g}"
 
 
 def _images(document: Document, arrays: Arrays) -> Iterator[str]:
@@ -138,13 +134,21 @@ def _images(document: Document, arrays: Arrays) -> Iterator[str]:
     )
     for shot in shots:
         pictures = images.image_pictures(images.image_of(shot, arrays))
-        kept = {title: pictures[title] for title in pictures if not title.startswith("cut")}
-        if f"{shot['id']}/z_with" in arrays:
-            after = {**arrays, f"{shot['id']}/z": arrays[f"{shot['id']}/z_with"]}
-            with_it = images.image_pictures(images.image_of(shot, after))
-            kept[f"residual with {name} (sigma)"] = with_it["residual (sigma)"]
+        noise = next(title for title in pictures if title.startswith("noise"))
+        kept = {title: pictures[title] for title in ("measured (DN)", "model (DN)", noise)}
+        kept |= dict(_residuals(shot, arrays, name))
         caption = f"{shot['id']}: {shot['dbr_pairs']:g} pairs."
         yield f"<h3>{html.escaped(shot['id'])}</h3>\n{html.row(kept, 'three', caption, document['command'])}"
+
+
+def _residuals(shot: Document, arrays: Arrays, name: str) -> Iterator[tuple[str, bytes]]:
+    """Without and, where the verdict names one, with the best effect."""
+    image, after = images.image_of(shot, arrays), f"{shot['id']}/z_with"
+    without = f"residual without {name} (sigma)" if after in arrays else "residual (sigma)"
+    yield without, figures.residual_picture(without, image, image.z)
+    if after in arrays:
+        title = f"residual with {name} (sigma)"
+        yield title, figures.residual_picture(title, image, arrays[after])
 
 
 def _where(document: Document) -> Iterator[str]:
@@ -158,7 +162,8 @@ def _scores(document: Document) -> Iterator[str]:
         return
     caption = (
         "Each effect by itself, before it is added: sigma of it in the residual, after what the fit's own"
-        " parameters can do is taken out. The largest is not the verdict: somebody is always first."
+        " parameters can do is taken out. Orange: named by the verdict; blue: added and fitted; grey: not tried."
+        " The largest is not the verdict: somebody is always first."
     )
     yield html.figure(figures.scores_picture(document), "Scores of all effects", caption, document["command"])
     if document["untestable"]:
@@ -200,7 +205,9 @@ def _next(document: Document) -> Iterator[str]:
 
 
 def _ladder(document: Document) -> Iterator[str]:
-    caption = "Rms error in percent of the mean signal, of each version of the model; the line is the noise alone."
+    caption = (
+        "Rms error in percent of the mean signal, of each version of the model; the line is the camera's noise alone."
+    )
     yield html.figure(figures.ladder_picture(document), "The ladder", caption)
     heads = ("version", "by", "error (%)", "held out (%)", "noise (%)", "p of structure", "effects")
     rows = [

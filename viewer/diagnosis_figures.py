@@ -9,7 +9,9 @@ import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
+from numpy.typing import NDArray
 
+from viewer.comparison_images import SMALL, Image, residuals
 from viewer.look import BLUE, GREEN, GREY, INK, ORANGE, TEXT, svg
 
 Document = Mapping[str, Any]
@@ -18,6 +20,8 @@ SHOWN = 14
 """Bars of one picture."""
 WRITTEN = 0.5
 """|cosine| from which its number is written into the map."""
+DARK = 0.75
+"""|cosine| from which the map is too dark for ink."""
 
 
 def scores_figure(document: Document) -> Figure:
@@ -32,7 +36,8 @@ def scores_figure(document: Document) -> Figure:
         ]
         axes.barh([one["name"] for one in rows], [abs(one["z"]) for one in rows], color=colours, height=0.7)
         axes.set_xlabel("sigma of the effect in what the model leaves")
-        axes.set_title(document["verdict"].replace("_", " "))
+        named = ", ".join(document["set"])
+        axes.set_title(document["verdict"].replace("_", " ") + (f": {named}" if named else ""))
         return figure
 
 
@@ -40,6 +45,16 @@ def scores_picture(document: Document) -> bytes:
     """The same for a page."""
     with rc_context(TEXT):
         return svg(scores_figure(document))
+
+
+def residual_picture(title: str, image: Image, z: NDArray[Any]) -> bytes:
+    """A map of residuals of an image, with a title that says which model left them."""
+    with rc_context(TEXT):
+        figure = Figure(figsize=SMALL)
+        axes = figure.add_axes((0.16, 0.14, 0.7, 0.78))  # as the pictures beside it
+        residuals(figure, axes, image, np.asarray(z, np.float64))
+        axes.set_title(title)
+        return svg(figure)
 
 
 def confounding_picture(document: Document) -> bytes:
@@ -57,7 +72,8 @@ def confounding_picture(document: Document) -> bytes:
         for row, column in zip(*np.nonzero(np.abs(cosines) >= WRITTEN), strict=True):
             if row != column:
                 text = f"{100.0 * cosines[row, column]:.0f}"
-                axes.text(column, row, text, ha="center", va="center", color=INK, fontsize=5)
+                colour = "white" if abs(cosines[row, column]) > DARK else INK
+                axes.text(column, row, text, ha="center", va="center", color=colour, fontsize=5)
         for group in groups:
             places = [names.index(name) for name in group]
             first, size = min(places) - 0.5, len(places)

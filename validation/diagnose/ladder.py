@@ -13,6 +13,7 @@ from luxloop.model import Model
 from luxloop.model_file import parse_toml
 from validation.diagnose.diagnosis import Ground
 from validation.diagnose.held_out import folds_by_sample, held_out
+from validation.fit.model_noise import told_variance
 from validation.model_versions import Version
 
 NAMES = {"fitted_percent": "fitted %", "held_out_percent": "held-out %", "noise_percent": "noise %", "p": "p"}
@@ -29,6 +30,7 @@ class Rung:
     held_out_percent: float | None
     """None: there is one sample only."""
     noise_percent: float
+    """Of the camera and of the prediction's own Monte Carlo: what a right model leaves."""
     p: float
 
     @classmethod
@@ -36,11 +38,13 @@ class Rung:
         """Of a fit and its structure."""
         fit = ground.fit
         squares, noise, level, count = 0.0, 0.0, 0.0, 0
+        of_model = told_variance(fit.whitening)
         for image, signal in zip(fit.problem.images, fit.signals_dn, strict=True):
             used = image.used
             squares += float(np.sum((image.signal_dn - signal)[used] ** 2))
-            noise += float(np.sum(image.variance_dn2(signal)[used] + (image.prnu * signal[used]) ** 2))
-            level, count = level + float(np.sum(signal[used])), count + int(used.sum())
+            variance = image.variance_dn2(signal)[used] + (image.prnu * signal[used]) ** 2
+            noise += float(np.sum(variance * (1.0 + of_model[count : count + len(variance)])))
+            level, count = level + float(np.sum(signal[used])), count + len(variance)
         if not count:  # spectra alone: of their mean value
             rows = fit.residual * np.concatenate([*fit.whitening.curve_sigma])
             squares, count = float(rows @ rows), len(rows)

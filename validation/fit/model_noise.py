@@ -66,6 +66,14 @@ def noise_blocks(white: Whitening, samples: Sequence[str], noise_dn: Sequence[Re
     return tuple(NoiseBlock.of(rows, columns) for rows, columns in found)
 
 
+def told_variance(white: Whitening) -> Real:
+    """(row,) of the images: variance of the Monte Carlo's noise, in that of the camera's noise."""
+    variance = np.zeros(white.count)
+    for block in white.noise:
+        variance[block.rows] += np.sum(block.columns**2, axis=0)
+    return variance
+
+
 def noise_share(white: Whitening) -> float:
     """Rms over all pixels of the Monte Carlo's noise, in standard deviations of the camera's."""
     total = sum(float(np.sum(block.columns**2)) for block in white.noise)
