@@ -44,7 +44,7 @@ DOCS = Path(__file__).parents[1] / "docs"
 PICTURES = DOCS / "images" / "effects"
 FACTS = PICTURES / "facts.json"
 """Beside the pictures: values they were drawn with, and how large the difference is."""
-DPI, COLOURS = 80, 64
+DPI, COLOURS = 80, 92
 PATIENCE_S = 600.0
 WINDOW_NM = 20_000.0
 GIVEN = {"dbr_layer_order": ["order=aln_first"]}
@@ -220,8 +220,8 @@ def page(specs: tuple[EffectSpec, ...], facts: Mapping[str, Document]) -> Iterat
     yield (
         "Pictures: what the effect does to a 5 x 5 array (D 180, W 40, S 500, T 20 um, 2.5 pairs, model `paper`) or"
         " to 300 nm of a polymer on silicon, at a third of its range, or as the line below a picture says;"
-        " `luxloop effects show NAME` draws it larger, with values of your choice. This page is written by"
-        " `python -m benchmarks.effects_gallery`."
+        " `luxloop effects show NAME` draws it larger, with values of your choice. The rms has what is left of noise"
+        " in it. This page is written by `python -m benchmarks.effects_gallery`."
     )
     yield _alike()
     for stage, title in STAGES.items():

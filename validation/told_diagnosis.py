@@ -16,7 +16,8 @@ def diagnosis(document: Document) -> Iterator[str]:
     """The verdict, the effects that were tried, what else scored, the rivals, the next measurement."""
     yield document["sentence"]
     found = document["structure"]
-    yield f"Structure: p {found['p_text']}; the {document['known']} known effects: p {document['scores_p']:.2g}."
+    chance = "< 1e-9" if document["scores_p"] < 1e-9 else f"{document['scores_p']:.2g}"
+    yield f"Structure: p {found['p_text']}; the {document['known']} known effects: p {chance}."
     if document["effects"]:
         yield ""
         heads = ("effect", "size", "chi2 drop", "explains", "held-out error", "ln evidence", "p left", "alike")

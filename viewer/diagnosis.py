@@ -206,7 +206,8 @@ def _next(document: Document) -> Iterator[str]:
 
 def _ladder(document: Document) -> Iterator[str]:
     caption = (
-        "Rms error in percent of the mean signal, of each version of the model; the line is the camera's noise alone."
+        "Rms error in percent of the mean signal, of each version of the model; the line is noise alone: the camera's"
+        " and the prediction's own."
     )
     yield html.figure(figures.ladder_picture(document), "The ladder", caption)
     heads = ("version", "by", "error (%)", "held out (%)", "noise (%)", "p of structure", "effects")
