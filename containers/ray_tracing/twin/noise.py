@@ -14,7 +14,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_triangular
 
 Real = NDArray[np.float64]
 
@@ -81,7 +80,7 @@ class NoiseBasis:
         """Of images (..., row, column): (..., function) in the orthogonal functions."""
         pixels = images.reshape(*images.shape[:-2], -1)
         right = (pixels * self.weight) @ self.functions.T
-        return np.asarray(solve_triangular(self.factor, right.reshape(-1, len(self.factor)).T, lower=True).T)
+        return np.asarray(np.linalg.solve(self.factor, right.reshape(-1, len(self.factor)).T).T)
 
 
 def noise_columns(deviations: Real, basis: NoiseBasis, first: NoiseBasis) -> Real:
@@ -101,7 +100,7 @@ def noise_columns(deviations: Real, basis: NoiseBasis, first: NoiseBasis) -> Rea
     own = (first.amplitudes(deviations) ** 2).sum(axis=0)
     near = np.abs(np.subtract.outer(np.arange(own.size), np.arange(own.size))) <= NEIGHBOURS
     scale = np.sqrt(near @ own / near.sum(axis=1))
-    transfer = solve_triangular(first.factor, basis.functions, lower=True)
+    transfer = np.linalg.solve(first.factor, basis.functions)
     return np.asarray((scale[:, None] * transfer).reshape(-1, *deviations.shape[1:]))
 
 
