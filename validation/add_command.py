@@ -27,7 +27,7 @@ from validation.diagnose_command import Free, diagnosing, facts_of
 
 if TYPE_CHECKING:
     from luxloop.model import Model
-    from validation.diagnose.diagnosis import Ground
+    from validation.diagnose.ground import Ground
     from validation.diagnosing import Diagnosing
     from validation.fit import Fit
     from validation.session import Session, Subject
@@ -181,9 +181,10 @@ def _text(subject: Subject) -> str:
 
 def _fitted(found: Fit) -> list[dict[str, Any]]:
     from luxloop.units import unit_of
+    from validation.diagnose.document import finite
 
     return [
-        {"path": path, "value": found.value(path), "error": found.error(path), "unit": unit_of(path)}
+        {"path": path, "value": found.value(path), "error": finite(found.error(path)), "unit": unit_of(path)}
         for path in found.problem.unknowns.model_paths
     ]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import shlex
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -56,6 +56,7 @@ def diagnosing(
     router: str | None,
     no_local: bool,
     say: bool,
+    among: Sequence[str] = (),
 ) -> Iterator[tuple[Diagnosing, Subject, Session]]:
     """The model on its data, with workers, on record as a run. Raises InputError for a model without data."""
     from validation.comparing import NULLS, Solver
@@ -76,7 +77,15 @@ def diagnosing(
         known = Known.ask(at.asking)
         yield (
             Diagnosing(
-                subject.model, observed, at.predictor, known, solver, paths, settings.cache_dir / NULLS, progress
+                subject.model,
+                observed,
+                at.predictor,
+                known,
+                solver,
+                paths,
+                settings.cache_dir / NULLS,
+                progress,
+                tuple(among),
             ),
             subject,
             at,
@@ -126,8 +135,8 @@ def diagnose(
     with diagnosing(
         "diagnose", model, free=free, histories=None if twin else histories, seed=seed, pixel_um=pixel_um, film=film,
         runs=runs, router=router, no_local=no_local, say=not (as_json or quiet),
+        among=[name.strip() for name in (among or "").split(",") if name.strip()],
     ) as (engine, subject, at):  # fmt: skip
-        engine.among = tuple(name.strip() for name in (among or "").split(",") if name.strip())
         found = engine.diagnosed()
         told_of = facts_of(subject, at) | document(found, engine.proposals, seed)
         told_of |= {"solver": engine.solver.document(), "not_tested": engine.untested}
@@ -178,7 +187,7 @@ def next_(
         scores = engine.scored(base, specs)
         slopes = slopes_of(base)
         refits = [refit(base, scores[name], slopes) for name in rivals]
-        proposals = Rivals(base, refits, engine.predictor).proposals(engine.progress)
+        proposals = Rivals(base, refits, engine.predictor, engine.known.beyond_twin).proposals(engine.progress)
         told_of = facts_of(subject, at) | {
             "rivals": rivals,
             "candidates": [one.document() for one in proposals],

@@ -15,11 +15,11 @@ from luxloop.effect import EffectSpec
 from luxloop.errors import InputError
 from luxloop.model import Model
 from validation.comparing import Solver
-from validation.contrasts.null import Variances, null
-from validation.contrasts.structure import DRAWS, fit_layout, fit_projection, judged
+from validation.contrasts.structure import DRAWS, fit_projection
 from validation.diagnose.columns import FitSight, candidates_of
-from validation.diagnose.diagnosis import Diagnosis, Ground, Step, diagnosed
+from validation.diagnose.diagnosis import Diagnosis, Means, diagnosed
 from validation.diagnose.frozen import slopes_of
+from validation.diagnose.ground import Ground
 from validation.diagnose.next_measurement import Proposal, Rivals, next_in_words
 from validation.diagnose.refit import Refitted, finished, refit
 from validation.diagnose.score import Candidate, Projected, Score, scores
@@ -48,10 +48,10 @@ class Diagnosing:
     """Paths of the model that move."""
     cache: Path | None = None
     progress: Progress = silent
-    proposals: list[Proposal] = field(default_factory=list)
-    """Of the last verdict that could not tell effects apart."""
     among: tuple[str, ...] = ()
     """Names of the effects to choose from; none: all."""
+    proposals: list[Proposal] = field(default_factory=list)
+    """Of the last verdict that could not tell effects apart."""
     refused: dict[str, str] = field(default_factory=dict)
     """Effects that cannot be had with these samples, with the reason."""
 
@@ -73,11 +73,7 @@ class Diagnosing:
 
     def ground(self, found: Fit) -> Ground:
         """The structure that a fit leaves, and its null."""
-        layout, projection = fit_layout(found), fit_projection(found)
-        variances = Variances.of(layout, projection)
-        drawn = null(layout, projection, variances.weight, DRAWS, self.solver.seed, self.cache)
-        structure = judged(found.residual, layout, projection, variances, drawn)
-        return Ground(found, structure, drawn, projection, variances)
+        return Ground.of(found, DRAWS, self.solver.seed, self.cache)
 
     @cached_property
     def effects(self) -> list[EffectSpec]:
@@ -101,15 +97,18 @@ class Diagnosing:
 
     def signatures(self, found: Fit, effects: Sequence[EffectSpec]) -> list[Candidate]:
         """The whitened columns of effects at a fit."""
-        sight = FitSight.of(found, self.predictor, self.known.specs, self.solver.seed)
-        heard = lambda share, name: self.progress(0.1 + 0.4 * share, name)  # noqa: E731
-        return candidates_of(found, effects, sight, heard, self.refused)
+        sight = FitSight.of(found, self.predictor, self.known.beyond_twin, self.solver.seed)
+        return candidates_of(
+            found, effects, sight, lambda share, name: self.progress(0.1 + 0.4 * share, name), self.refused
+        )
 
     def scored(self, found: Fit, effects: Sequence[EffectSpec]) -> dict[str, Score]:
         """Effects at their best shape on a fit, by name; InputError for one that these data cannot show."""
         projected = Projected.of(self.signatures(found, effects), fit_projection(found))
-        for name, reason in self.refused.items():
-            raise InputError("EFFECT", name, "an effect that these samples can have", reason)
+        impossible = next((one.name for one in effects if one.name in self.refused), None)
+        if impossible is not None:
+            allowed = "an effect that these samples can have"
+            raise InputError("EFFECT", impossible, allowed, self.refused[impossible])
         if projected.untestable:
             name = projected.untestable[0]
             allowed, mend = "an effect that these data can show", "what is fitted anyway does all that it does"
@@ -122,22 +121,19 @@ class Diagnosing:
         added = refit(found, self.scored(found, [effect])[effect.name], slopes_of(found))
         return finished(added, found.problem.predictor, found.problem.predict_curves)
 
-    def next_image(self, step: Step, names: Sequence[str]) -> str:
+    def next_image(self, found: Fit, rivals: Sequence[Refitted]) -> str:
         """What would tell rivals apart, in words; the proposals are kept."""
-        refits = [one for one in step.refits if one.candidate.effect.name in names]
-        refits.sort(key=lambda one: names.index(one.candidate.effect.name))
-        rivals = Rivals(step.ground.fit, refits, self.predictor)
-        self.proposals = rivals.proposals(lambda share, words: self.progress(0.9 + 0.1 * share, words))
+        self.proposals = Rivals(found, rivals, self.predictor, self.known.beyond_twin).proposals(
+            lambda share, words: self.progress(0.9 + 0.1 * share, words)
+        )
         return next_in_words(self.proposals)
 
     def diagnosed(self) -> Diagnosis:
         """The verdict."""
         self.progress(0.0, "the fit without more effects")
         ground = self.ground(self.fitted(self.model))
-        return diagnosed(
-            ground, self.effects, self.signatures, self.ground, self.next_image,
-            seed=self.solver.seed, progress=self.progress,
-        )  # fmt: skip
+        means = Means(self.signatures, self.ground, self.next_image, self.progress)
+        return diagnosed(ground, self.effects, means, seed=self.solver.seed)
 
     def spec(self, name: str) -> EffectSpec:
         """An effect by name; InputError with what is near, or why these data cannot show it."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+from validation.diagnose.verdict import size_in_words
 from validation.told import table
 
 Document = Mapping[str, Any]
@@ -82,7 +83,7 @@ def added(document: Document) -> Iterator[str]:
     """What add and remove did."""
     yield from document["diff"]
     for row in document["fitted"]:
-        yield f"{row['path']} {row['value']:.4g} +- {row['error']:.2g} {row['unit']}".rstrip()
+        yield f"{row['path']} {_with_error(row['value'], row['error'])} {row['unit']}".rstrip()
     before, after = document["before"], document["after"]
     for name, words in (("fitted_percent", "error in what was fitted"), ("held_out_percent", "held-out error")):
         if before.get(name) is not None and after.get(name) is not None:
@@ -102,10 +103,12 @@ def _effect(row: Document) -> tuple[str, ...]:
     if row["held_out_before"] is not None:
         held = f"{row['held_out_before']:.3g} -> {row['held_out_after']:.3g} %"
     evidence = "" if row["log_evidence"] is None else f"{row['log_evidence']:.0f}"
-    share = f"{100.0 * row['explained_share']:.0f} +- {100.0 * row['explained_share_error']:.0f} %"
+    share = "nothing to explain"
+    if row["explained_share_error"] is not None:
+        share = f"{100.0 * row['explained_share']:.0f} +- {100.0 * row['explained_share_error']:.0f} %"
     return (
         row["name"] + ("" if row["plausible"] else " (implausible)"),
-        f"{name} {size['value']:.3g} +- {size['error']:.2g} {size['unit']}".rstrip(),
+        size_in_words(name, size["value"], size["error"], size["unit"], row["shape"]),
         f"{row['chi2_drop']:.0f}",
         share,
         held,
@@ -118,8 +121,13 @@ def _effect(row: Document) -> tuple[str, ...]:
 def _moved(row: Document) -> tuple[str, ...]:
     held = ", at its limit" if row["at_limit"] else ""
     prior = "" if row["prior_mean"] is None else f"{row['prior_mean']:g} +- {row['prior_sd']:g}"
-    after = "" if row["with"] is None else f"{row['with']:.4g} +- {row['with_error']:.2g}"
-    return row["path"], f"{row['value']:.4g} +- {row['error']:.2g}{held}", after, prior
+    after = "" if row["with"] is None else _with_error(row["with"], row["with_error"])
+    return row["path"], _with_error(row["value"], row["error"]) + held, after, prior
+
+
+def _with_error(value: float, error: float | None) -> str:
+    """None: the data do not know it."""
+    return f"{value:.4g}" if error is None else f"{value:.4g} +- {error:.2g}"
 
 
 def _rung(row: Document) -> tuple[str, ...]:

@@ -75,8 +75,8 @@ def _head(document: Document) -> Iterator[str]:
     ]
     if document["set"]:
         best = next(one for one in document["effects"] if one["name"] == document["set"][0])
-        share, error = 100.0 * best["explained_share"], 100.0 * best["explained_share_error"]
-        rows.append((f"{share:.0f} ± {error:.0f} %", f"of the structure is explained by {best['name']}"))
+        if share := _share(best):
+            rows.append((f"{share} %", f"of the structure is explained by {best['name']}"))
         if best["held_out_before"] is not None:
             fall = f"{number(best['held_out_before'])} → {number(best['held_out_after'])} %"
             rows.append((fall, "rms error in images that were left out of the fit"))
@@ -108,13 +108,30 @@ def _effect(one: Document) -> tuple[str, ...]:
         held = f"{number(one['held_out_before'])} → {number(one['held_out_after'])}"
     return (
         one["name"] + ("" if one["plausible"] else " (implausible)"),
-        f"{name} {size['value']:.3g} ± {size['error']:.2g} {size['unit']}".rstrip(),
+        f"{name} {_value(size['value'], size['error'])} {size['unit']}".rstrip() + _shape(one.get("shape", {})),
         f"{one['chi2_drop']:.0f}",
-        f"{100.0 * one['explained_share']:.0f} ± {100.0 * one['explained_share_error']:.0f}",
+        _share(one) or NOTHING,
         held,
         NOTHING if one["log_evidence"] is None else f"{one['log_evidence']:.0f}",
         f"{one['p_left']:.2g}",
     )
+
+
+def _value(value: float, error: float | None, digits: int = 3) -> str:
+    """With its error, where the data know it."""
+    return f"{value:.{digits}g}" if error is None else f"{value:.{digits}g} ± {error:.2g}"
+
+
+def _shape(shape: Document) -> str:
+    """What only shapes an effect, after its size."""
+    words = ", ".join(f"{name} {number(one, 4) if isinstance(one, float) else one}" for name, one in shape.items())
+    return f" ({words})" if words else ""
+
+
+def _share(one: Document) -> str:
+    """Of the structure, in percent; empty where there is nothing to explain."""
+    error = one["explained_share_error"]
+    return "" if error is None else f"{100.0 * one['explained_share']:.0f} ± {100.0 * error:.0f}"
 
 
 def _rare(p: float) -> str:
@@ -174,9 +191,9 @@ def _parameters(document: Document) -> Iterator[str]:
     rows = []
     for one in document["parameters"]:
         prior = NOTHING if one["prior_mean"] is None else f"{one['prior_mean']:g} ± {one['prior_sd']:g}"
-        after = NOTHING if one["with"] is None else f"{one['with']:.4g} ± {one['with_error']:.2g}"
+        after = NOTHING if one["with"] is None else _value(one["with"], one["with_error"], 4)
         held = " (at its limit)" if one["at_limit"] else ""
-        rows.append((one["path"], f"{one['value']:.4g} ± {one['error']:.2g}{held}", after, prior))
+        rows.append((one["path"], _value(one["value"], one["error"], 4) + held, after, prior))
     if rows:
         heads = ("parameter", "without", "with the best effect", "handbook (prior)")
         caption = "A parameter that moves back to its handbook value is a strong argument for the effect."

@@ -210,7 +210,10 @@ def test_sigterm_hands_back_a_long_task(processes: Set, what: str) -> None:
     thread.join(20)
     (answer,) = got
     assert isinstance(answer, Answer)
-    assert answer.attempt == 2
+    assert (
+        answer.attempt >= 2
+    )  # one more where a lease was lost on its way to a worker: that too is no fault of the task
+    assert answer.result["pid"] != worker.pid
 
 
 def test_an_idle_worker_leaves_at_once(processes: Set) -> None:

@@ -17,7 +17,7 @@ def arrays_of(found: Diagnosis) -> dict[str, Real]:
     (row, column), NaN where a pixel is not used.
     """
     first = found.steps[0]
-    best = next((one for one in first.refits if one.candidate.effect.name in first.verdict.set[:1]), None)
+    best = first.kept
     arrays = _of(first.ground.fit)
     if best is not None and best.fit is not None:
         arrays |= {name.replace("/z", "/z_with"): one for name, one in _of(best.fit).items() if name.endswith("/z")}

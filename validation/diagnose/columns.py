@@ -29,16 +29,15 @@ class FitSight(Sight):
     others: Mapping[str, float] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, fit: Fit, predictor: Predictor, effects: Sequence[EffectSpec], seed: int = 1) -> FitSight:
+    def of(cls, fit: Fit, predictor: Predictor, beyond_twin: frozenset[str] = frozenset(), seed: int = 1) -> FitSight:
         """About a fit."""
         by_name = fit.problem.unknowns.named(fit.values)
         views = [
             replace(view_of(image, fit.poses[image.shot.id]), sensor=sensor_of(image, by_name))
             for image in fit.problem.images
         ]
-        beyond = frozenset(one.name for one in effects if not one.twin)
         others = {name: by_name[name] for name in fit.problem.unknowns.other_paths}
-        return cls(predictor, views, (), beyond, seed=seed, problem=fit.problem, others=others)
+        return cls(predictor, views, (), beyond_twin, seed=seed, problem=fit.problem, others=others)
 
     def _curves(self, model: Model) -> Iterator[Real]:
         if self.problem is not None and self.problem.curves and self.problem.predict_curves is not None:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
 from luxloop import __version__
 from validation.contrasts.structure import Structure
-from validation.diagnose.diagnosis import Diagnosis, Step, limits
+from validation.diagnose.diagnosis import Diagnosis, Step
+from validation.diagnose.in_words import limits
 from validation.diagnose.next_measurement import Proposal
 from validation.diagnose.verdict import Explanation
 
@@ -25,7 +27,7 @@ def document(found: Diagnosis, proposals: Sequence[Proposal], seed: int) -> dict
         "scores": [
             {
                 "name": one.name, "stage": one.best.candidate.effect.stage, "z": one.best.z, "p": one.p,
-                "chi2_drop": one.best.drop, "size": one.best.size, "error": one.best.error,
+                "chi2_drop": one.best.drop, "size": one.best.size, "error": finite(one.best.error),
                 "score_variable": one.best.candidate.parameter.score_variable,
                 "parameter": one.best.candidate.parameter.name, "left": one.best.left,
             }
@@ -91,11 +93,11 @@ def effect_document(step: Step, one: Explanation) -> dict[str, Any]:
     return {
         "name": one.name,
         "stage": spec.stage if spec is not None else "",
-        "size": {one.parameter: {"value": one.value, "error": one.error, "unit": one.unit}},
-        "shape": dict(score.best.candidate.shape) if score is not None else {},
+        "size": {one.parameter: {"value": one.value, "error": finite(one.error), "unit": one.unit}},
+        "shape": dict(one.shape),
         "chi2_drop": one.drop,
         "explained_share": one.share.value,
-        "explained_share_error": one.share.error,
+        "explained_share_error": finite(one.share.error),
         "held_out_before": before,
         "held_out_after": after,
         "held_out_density_change": None if held is None else held.value,
@@ -113,18 +115,24 @@ def parameters_document(found: Diagnosis) -> list[dict[str, Any]]:
     """The model's own parameters without any effect and with the best one: where they move back to."""
     first = found.steps[0]
     fit = first.ground.fit
-    best = next((one for one in first.refits if one.candidate.effect.name in first.verdict.set[:1]), None)
+    best = first.kept
     rows = []
     for path in fit.problem.unknowns.model_paths:
         limits_at = fit.model.fit[path]
         row = {
-            "path": path, "value": fit.value(path), "error": fit.error(path), "at_limit": path in fit.at_limit,
+            "path": path, "value": fit.value(path), "error": finite(fit.error(path)),
+            "at_limit": path in fit.at_limit,
             "prior_mean": limits_at.prior_mean, "prior_sd": limits_at.prior_sd, "with": None, "with_error": None,
         }  # fmt: skip
         if best is not None and best.fit is not None:
-            row |= {"with": best.fit.value(path), "with_error": best.fit.error(path)}
+            row |= {"with": best.fit.value(path), "with_error": finite(best.fit.error(path))}
         rows.append(row)
     return rows
+
+
+def finite(value: float) -> float | None:
+    """JSON has no infinity: an error that is not known is null."""
+    return value if math.isfinite(value) else None
 
 
 def _next(proposals: Sequence[Proposal]) -> dict[str, Any] | None:

@@ -24,9 +24,12 @@ def group_log_evidence(products: Real, gram: Real, largest: float, points: int =
     Members are normal with a spread s; s is as likely anywhere from 0 to `largest`.
     """
     size, axes = np.linalg.eigh(gram)
-    size, along = np.maximum(size, 0.0), axes.T @ products
-    spreads = largest * (np.arange(points) + 0.5) / points
-    gain = 1.0 + np.outer(spreads**2, size)
-    logs = 0.5 * np.sum(spreads[:, None] ** 2 * along**2 / gain, axis=1) - 0.5 * np.sum(np.log(gain), axis=1)
+    logs = logs_of_spreads(axes.T @ products, np.maximum(size, 0.0), largest * (np.arange(points) + 0.5) / points)
     peak = float(logs.max())
     return peak + float(np.log(np.mean(np.exp(logs - peak))))
+
+
+def logs_of_spreads(along: Real, size: Real, spreads: Real) -> Real:
+    """ln of the likelihood ratio of each spread against none: (member,) products along the gram's axes, its sizes."""
+    gain = 1.0 + np.outer(spreads**2, size)
+    return np.asarray(0.5 * np.sum(spreads[:, None] ** 2 * along**2 / gain - np.log(gain), axis=1))

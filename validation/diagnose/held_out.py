@@ -97,6 +97,12 @@ def change(before: HeldOut, after: HeldOut) -> Change:
     return Change(after.density - before.density, float(np.linalg.norm(difference)) / count)
 
 
+def same_rows(one: Fit, other: Fit) -> bool:
+    """Whether two fits have the same pixels: a row's number means the same in both."""
+    pairs = zip(one.problem.images, other.problem.images, strict=True)
+    return all(np.array_equal(a.used, b.used) for a, b in pairs)
+
+
 def folds_by_sample(fit: Fit) -> list[tuple[str, Rows]]:
     """All rows of each sample or film; fewer than two samples: no folds."""
     owners = _owners(fit)

@@ -11,7 +11,7 @@ import numpy as np
 from luxloop.errors import InputError
 from luxloop.model import Model
 from luxloop.model_file import parse_toml
-from validation.diagnose.diagnosis import Ground
+from validation.diagnose.ground import Ground
 from validation.diagnose.held_out import folds_by_sample, held_out
 from validation.fit.model_noise import told_variance
 from validation.model_versions import Version

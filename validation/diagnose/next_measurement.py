@@ -17,14 +17,15 @@ from numpy.typing import NDArray
 from luxloop.errors import InputError, RemoteError
 from luxloop.model import Model
 from validation.dataset.manifest import Sample
+from validation.diagnose.columns import FitSight
 from validation.diagnose.refit import Refitted
 from validation.diagnose.separation import Rows, sigma_left
 from validation.effects.known import applied, off_values, with_effect
-from validation.effects.signatures import Sight
+from validation.effects.signatures import HISTORIES, Sight
 from validation.fit import Fit
-from validation.fit.problem import view_of
+from validation.fit.problem import sensor_of, view_of
 from validation.measured import MeasuredImage
-from validation.prediction import POSE_COLUMNS, Pose, Predictor
+from validation.prediction import POSE_COLUMNS, Anchored, Pose, Predictor, Sensor
 
 Real = NDArray[np.float64]
 
@@ -60,6 +61,8 @@ class Rivals:
     fit: Fit
     refits: Sequence[Refitted]
     predictor: Predictor
+    beyond_twin: frozenset[str]
+    """Names of effects that the twin cannot represent."""
 
     def proposals(self, heard: Callable[[float, str], None] = lambda *_: None) -> list[Proposal]:
         """All candidates, the best first. Empty where no rival has a size of its own."""
@@ -85,11 +88,11 @@ class Rivals:
         """The columns on the rows that were measured."""
         fit = self.fit
         own = [name in fit.problem.unknowns.model_paths for name in fit.names]
-        sight = Sight(self.predictor, [view_of(one, fit.poses[one.shot.id]) for one in fit.problem.images])
+        sight = FitSight.of(fit, self.predictor, self.beyond_twin)
         gains = [fit.gains[one.shot.id] for one in fit.problem.images]
         effects = {}
         for one in usable:
-            images = [gain * part for gain, part in zip(gains, self._change(sight, one), strict=True)]
+            images = [gain * part for gain, part in zip(gains, self._change(sight, one)[: len(gains)], strict=True)]
             effects[one.candidate.effect.name] = fit.whitening.rows(images)
         count = fit.whitening.count
         return Rows(fit.columns[own][:, :count], fit.columns[np.logical_not(own)][:, :count], effects)
@@ -97,13 +100,17 @@ class Rivals:
     def _there(self, sample: Sample, exposure: float, usable: Sequence[Refitted], paths: Sequence[str]) -> Rows:
         """The columns that an image of a sample would have, with a peak as bright as those that were taken."""
         fit, like = self.fit, _nearest(self.fit.problem.images, sample)
-        view = replace(view_of(like, Pose()), sample=sample)
-        (found,) = self.predictor.images(fit.model, [view], (*paths, *POSE_COLUMNS))
+        at = self.fit.problem.unknowns.named(self.fit.values)
+        view = replace(view_of(like, Pose()), sample=sample, sensor=sensor_of(like, at))
+        traced = any(effect.name in self.beyond_twin for effect in fit.model.effects)
+        anchor = Anchored(fit.model, HISTORIES) if traced else None
+        (found,) = self.predictor.images(fit.model, [view], (*paths, *POSE_COLUMNS), anchor)
         peak_dn = max(float(signal[image.used].max()) for image, signal in _lit(fit))
         gain = peak_dn / float(found.irradiance_per_mm2.max())
         signal = gain * found.irradiance_per_mm2
         sigma = np.sqrt(like.variance_dn2(signal) / exposure + (like.prnu * signal) ** 2)
-        sight = Sight(self.predictor, [view])
+        view = replace(view, sensor=Sensor(gain, 0.0, like.camera.full_scale_dn - like.camera.black_level_dn))
+        sight = Sight(self.predictor, [view], beyond_twin=self.beyond_twin)
         nuisances = [signal, np.ones_like(signal), *(gain * found.jacobian_per_mm2[name] for name in POSE_COLUMNS)]
         return Rows(
             np.array([(gain * found.jacobian_per_mm2[path] / sigma).ravel() for path in paths]).reshape(
@@ -115,8 +122,9 @@ class Rivals:
 
     def _change(self, sight: Sight, one: Refitted) -> tuple[Real, ...]:
         """What an effect of its fitted size does to the images of the model without it."""
-        with_it = _at_size(self.fit.model, one)
-        there, here = sight.parts(with_it), sight.parts(self.fit.model)
+        model, traced = self.fit.model, not one.candidate.effect.twin
+        there = sight.parts(_at_size(model, one), traced, lender=model)
+        here = sight.parts(model, traced)
         return tuple(a - b for a, b in zip(there, here, strict=True))
 
 

@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from luxloop.effect import EffectParameter
+from luxloop.effect import EffectParameter, Value
 from luxloop.model import Fit as Limits
 from luxloop.model import Model
+from validation.diagnose.evidence import logs_of_spreads
 from validation.diagnose.frozen import FrozenCurves, FrozenImages, Slopes
 from validation.effects.known import applied, off_values, with_effect
 from validation.fit import Fit, prior_chi2, refitted, unknowns_of
@@ -47,6 +48,13 @@ class Refitted:
     """None for a group: its members are known one by one, not as one number."""
     fit: Fit | None
     """None for a group, whose members are reckoned on the linear model."""
+
+    @property
+    def shape(self) -> tuple[tuple[str, Value], ...]:
+        """What only shapes the effect, as its model has it, else as it was tried."""
+        effects = () if self.model is None else self.model.effects
+        values = next((e.parameters for e in effects if e.name == self.candidate.effect.name), {})
+        return tuple((name, values.get(name, value)) for name, value in self.candidate.shape)
 
 
 def path_of(effect: str, parameter: str) -> str:
@@ -115,14 +123,14 @@ def spread(base: Fit, candidate: Candidate) -> Refitted:
     size, along = np.maximum(size, 0.0), axes.T @ (rows @ base.residual)
     _, upper = limits_of(candidate.parameter)
     spreads = upper * np.geomspace(1e-4, 1.0, 400)
-    logs = [0.5 * float(np.sum(s**2 * along**2 / (1.0 + s**2 * size) - np.log1p(s**2 * size))) for s in spreads]
+    logs = logs_of_spreads(along, size, spreads)
     best = float(spreads[int(np.argmax(logs))])
     members = axes @ (best**2 * along / (1.0 + best**2 * size))
     residual = base.residual - members @ rows
     curvature = float(np.sum((best * size / (1.0 + best**2 * size)) ** 2)) * 2.0
     return Refitted(
         candidate, best, 1.0 / np.sqrt(curvature) if curvature > 0.0 else np.inf, residual,
-        _chi2(base) - 2.0 * max(max(logs), 0.0), best >= upper, None, None,
+        _chi2(base) - 2.0 * max(float(logs.max()), 0.0), best >= upper, None, None,
     )  # fmt: skip
 
 

@@ -12,10 +12,12 @@ not seen, and whether rivals can be told apart. Chi2 only ranks.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+from luxloop.effect import Value
 from validation.diagnose.explained import Share
 from validation.diagnose.held_out import Change
 from validation.effects.confounding import TOLD_APART
@@ -26,8 +28,6 @@ LEVEL = 0.01
 HALF = 0.5
 ALIKE = 0.10
 """Effects that explain within this of the best are in the set."""
-FEW = 3
-"""Rivals and limits that a sentence names."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +39,8 @@ class Explanation:
     unit: str
     value: float
     error: float
+    shape: tuple[tuple[str, Value], ...]
+    """What only shapes it, as it was fitted."""
     drop: float
     """Of chi2."""
     share: Share
@@ -61,7 +63,18 @@ class Explanation:
     @property
     def size(self) -> str:
         """For people."""
-        return f"{self.parameter} {self.value:.3g} +- {self.error:.2g} {self.unit}".rstrip()
+        return size_in_words(self.parameter, self.value, self.error, self.unit, dict(self.shape))
+
+
+def size_in_words(
+    parameter: str, value: float, error: float | None, unit: str, shape: Mapping[str, Value], sign: str = "+-"
+) -> str:
+    """A size and what shapes it: "edge_loss 0.078 +- 0.0028 (law cos4)"."""
+    known = "" if error is None or not math.isfinite(error) else f" {sign} {error:.2g}"
+    shaped = ", ".join(
+        f"{name} {one:.4g}" if isinstance(one, float) else f"{name} {one}" for name, one in shape.items()
+    )
+    return f"{parameter} {value:.3g}{known} {unit}".rstrip() + (f" ({shaped})" if shaped else "")
 
 
 @dataclass(frozen=True)
@@ -95,20 +108,25 @@ def is_visible(p_structure: float, p_scores: float, level: float = LEVEL) -> boo
 
 
 def decided(
-    explanations: Sequence[Explanation], known: int, left: str, next_image: str, level: float = LEVEL
+    explanations: Sequence[Explanation],
+    known: int,
+    left: Callable[[], str],
+    next_image: Callable[[Sequence[str]], str],
+    level: float = LEVEL,
 ) -> Verdict:
     """The verdict on what was tried.
 
     Parameters
     ----------
     explanations : of the short list. known : how many effects there are.
-    left : what is left, in words, where nothing known explains it. next_image : what would separate rivals.
+    left : what is left, in words, asked where nothing known explains it.
+    next_image : what would separate the effects of these names, asked where the data do not.
     """
     usable = sorted((one for one in explanations if one.plausible), key=lambda one: -one.drop)
     if not usable or _explains_too_little(usable[0], level):
         most = 100.0 * max((one.share.value for one in explanations), default=0.0)
         sentence = (
-            f"None of the {known} known effects explains this (best: {max(most, 0.0):.0f} %). What is left: {left}"
+            f"None of the {known} known effects explains this (best: {max(most, 0.0):.0f} %). What is left: {left()}"
             " Write an effect: luxloop effects new."
         )
         return Verdict("none_of_the_known", sentence)
@@ -120,7 +138,9 @@ def decided(
     rivals = [one for one in alike if best.sigma_rival.get(one.name, best.sigma) < TOLD_APART]
     if rivals:
         told = [best.name, *(one.name for one in rivals)]
-        return Verdict("cannot_tell_apart", f"The data cannot tell apart {', '.join(told)}. {next_image}", names)
+        return Verdict(
+            "cannot_tell_apart", f"The data cannot tell apart {', '.join(told)}. {next_image(told)}", names
+        )
     held = "a held-out test is not possible with these data"
     if best.held_out_percent is not None:
         before, after = best.held_out_percent

@@ -18,10 +18,9 @@ from scipy.ndimage import gaussian_filter
 from luxloop.effect import AppliedEffect, EffectParameter, EffectSpec
 from luxloop.model import Model
 from tests.validation.analytic import ARRAY, MODEL, PATHS, SINGLE, Spots, blank
-from validation.contrasts.null import Variances, null
-from validation.contrasts.structure import fit_layout, fit_projection, judged
 from validation.diagnose.columns import FitSight, candidates_of
-from validation.diagnose.diagnosis import Diagnosis, Ground, diagnosed
+from validation.diagnose.diagnosis import Diagnosis, Means, diagnosed
+from validation.diagnose.ground import Ground
 from validation.diagnose.score import Candidate
 from validation.fit import Fit, fit
 from validation.measured import MeasuredImage
@@ -113,10 +112,7 @@ def data(name: str | None, seed: int, size: float = 0.0, length_um: float | None
 
 def ground_of(found: Fit) -> Ground:
     """The structure of a fit."""
-    layout, projection = fit_layout(found), fit_projection(found)
-    variances = Variances.of(layout, projection)
-    drawn = null(layout, projection, variances.weight, 2000, 1)
-    return Ground(found, judged(found.residual, layout, projection, variances, drawn), drawn, projection, variances)
+    return Ground.of(found, 2000, 1)
 
 
 def diagnosis(
@@ -127,7 +123,8 @@ def diagnosis(
     base = fit(model, images, predictor, free=PATHS)
 
     def signatures(at: Fit, effects: Sequence[EffectSpec]) -> list[Candidate]:
-        sight = FitSight.of(at, predictor, effects)  # type: ignore[arg-type]  # it predicts as a predictor does
+        sight = FitSight.of(at, predictor)  # type: ignore[arg-type]  # it predicts as a predictor does
         return candidates_of(at, effects, sight)
 
-    return diagnosed(ground_of(base), known, signatures, ground_of, lambda *_: "Take one image: another.")
+    means = Means(signatures, ground_of, lambda *_: "Take one image: another.")
+    return diagnosed(ground_of(base), known, means)

@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
+from scipy.stats import multivariate_normal
 
+from luxloop.effect import AppliedEffect
 from luxloop.model import Fit as Limits
 from tests.validation.analytic import HALO, MODEL
 from tests.validation.diagnose.made_up import CATALOGUE, data, diagnosis, ground_of, spec
-from validation.diagnose.diagnosis import limits
+from validation.diagnose.document import document, effect_document
+from validation.diagnose.evidence import group_log_evidence
+from validation.diagnose.explained import Share
+from validation.diagnose.held_out import same_rows
+from validation.diagnose.in_words import FEW, limits, limits_in_words
 from validation.diagnose.ladder import Rung
+from validation.diagnose.verdict import LEVEL
 
 
 def test_nothing_hidden_is_nothing_visible() -> None:
@@ -51,8 +59,8 @@ def test_one_effect_is_named_with_its_size() -> None:
     assert best.p_left > 0.005
     assert best.log_evidence is not None
     assert best.log_evidence > 10.0
-    shape = dict(found.steps[0].refits[0].candidate.shape)
-    assert shape == {"length_um": 300.0}
+    assert dict(best.shape) == {"length_um": 300.0}
+    assert "(length_um 300)" in found.verdict.sentence
 
 
 def test_an_effect_whose_square_counts_is_fitted_from_off() -> None:
@@ -60,6 +68,56 @@ def test_an_effect_whose_square_counts_is_fitted_from_off() -> None:
     best = diagnosis(data("fog", 3, 0.3)).added[0]
     assert best.name == "fog"
     assert abs(best.value - 0.3) < 3.0 * best.error
+
+
+def test_an_effect_of_the_model_is_not_tried_again() -> None:
+    """Neither where it is free nor where it stays as it is."""
+    there = AppliedEffect(name="stripes", parameters={"size": 0.05, "length_um": 300.0})
+    found = diagnosis(data("stripes", 2, 0.05, 300.0), MODEL.model_copy(update={"effects": (there,)}))
+    assert {one.name for one in found.steps[0].scores.effects} == {"ripple", "ripple_like", "fog"}
+    assert found.verdict.word == "nothing_visible"
+
+
+def test_a_sentence_names_a_few_limits_and_counts_the_others() -> None:
+    """All of them stand in the table."""
+    scores = diagnosis(data(None, 1)).steps[0].scores
+    words = limits_in_words(scores, LEVEL)
+    assert len(words) == FEW + 1
+    assert words[-1] == f"{len(CATALOGUE) - FEW} more in the table"
+
+
+def test_the_evidence_of_a_group_is_integrated_over_its_spread() -> None:
+    """Against a sum over spreads of what a normal with that covariance says of the products."""
+    random = np.random.default_rng(3)
+    columns = random.standard_normal((4, 30))
+    products, gram = columns @ (0.4 * columns.sum(axis=0) + random.standard_normal(30)), columns @ columns.T
+    spreads = 2.0 * (np.arange(60) + 0.5) / 60.0
+    alone = multivariate_normal(np.zeros(4), gram).pdf(products)
+    ratios = [multivariate_normal(np.zeros(4), gram + s**2 * gram @ gram).pdf(products) / alone for s in spreads]
+    assert group_log_evidence(products, gram, 2.0) == pytest.approx(np.log(np.mean(ratios)), rel=1e-9)
+
+
+def test_other_pixels_are_not_compared() -> None:
+    """A refit that may use other pixels has no held-out error beside the base's: rows would not mean the same."""
+    base = diagnosis(data(None, 1)).steps[0].ground.fit
+    first, *others = base.problem.images
+    used = first.used.copy()
+    used[0, 0] = not used[0, 0]
+    moved = replace(base, problem=replace(base.problem, images=(replace(first, used=used), *others)))
+    assert same_rows(base, base)
+    assert not same_rows(base, moved)
+
+
+def test_a_document_has_no_infinities() -> None:
+    """Strict JSON of every kind of verdict, also where an error is not known."""
+    for found in (diagnosis(data(None, 1)), diagnosis(data("stripes", 2, 0.05, 300.0))):
+        told = document(found, (), 1)
+        assert json.loads(json.dumps(told, allow_nan=False)) == told
+    best = replace(found.added[0], share=Share(0.0, np.inf), error=np.inf)
+    row = effect_document(found.steps[0], best)
+    assert row["explained_share_error"] is None
+    assert row["size"]["size"]["error"] is None
+    assert "+-" not in best.size
 
 
 def test_two_that_are_alike_are_not_told_apart() -> None:

@@ -1,0 +1,47 @@
+"""What a diagnosis starts from: a fit, the structure that it leaves, and the null that judges all that is added."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from validation.contrasts.null import Null, Projection, Variances, null
+from validation.contrasts.structure import Structure, fit_layout, fit_projection, judged
+from validation.diagnose.explained import Loudest
+from validation.fit import Fit
+
+Real = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Ground:
+    """The fit that effects are added to, its structure, and the null that judges all that follow."""
+
+    fit: Fit
+    structure: Structure
+    null: Null
+    projection: Projection
+    variances: Variances
+
+    @classmethod
+    def of(cls, fit: Fit, draws: int, seed: int, cache: Path | None = None) -> Ground:
+        """About a fit; `cache`: a folder that keeps nulls."""
+        layout, projection = fit_layout(fit), fit_projection(fit)
+        variances = Variances.of(layout, projection)
+        drawn = null(layout, projection, variances.weight, draws, seed, cache)
+        return cls(fit, judged(fit.residual, layout, projection, variances, drawn), drawn, projection, variances)
+
+    @property
+    def loudest(self) -> Loudest:
+        """Its largest family."""
+        family = self.structure.families[0]
+        return Loudest(
+            self.null.layout, self.variances.weight, family.name, family.expected, family.freedom, family.energy
+        )
+
+    def judged(self, residual: Real) -> Structure:
+        """The structure in another residual, by the same contrasts and the same null."""
+        return judged(residual, self.null.layout, self.projection, self.variances, self.null)

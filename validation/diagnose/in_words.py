@@ -1,0 +1,58 @@
+"""What a verdict says besides names: sizes that would have been seen, and what is left where nothing explains it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from scipy.stats import norm
+
+from validation.contrasts import Region
+from validation.diagnose.ground import Ground
+from validation.diagnose.refit import limits_of
+from validation.diagnose.score import Scores
+from validation.diagnose.verdict import LEVEL
+
+POWER = 0.9
+FEW = 3
+"""Limits and regions that a sentence names; tables have them all."""
+
+
+def limits_in_words(scored: Scores, level: float) -> list[str]:
+    """Above which size the most visible effects would have been seen with 90 % power, and how many more there are."""
+    found = limits(scored, level)
+    words = [f"{name} {value:.2g} {unit}".rstrip() for name, _, value, unit in found[:FEW]]
+    return words + ([f"{len(found) - FEW} more in the table"] if len(found) > FEW else [])
+
+
+def limits(scored: Scores, level: float = LEVEL) -> list[tuple[str, str, float, str]]:
+    """(effect, parameter, value, unit) of the size that is seen with 90 % power, of all that can be tested."""
+    count = max(len(scored.effects), 1)
+    wanted = float(norm.isf(level / 4.0 / count) + norm.isf(1.0 - POWER))
+    found = []
+    for one in scored.effects:
+        candidate = one.best.candidate
+        if candidate.is_switch or candidate.is_group:
+            continue
+        lower, upper = limits_of(candidate.parameter)
+        off = candidate.parameter.off if isinstance(candidate.parameter.off, float) else 0.0
+        value = abs(candidate.value(wanted * one.best.error) - off)
+        if value <= max(upper - off, off - lower):
+            found.append(
+                (value / (upper - lower), one.name, candidate.parameter.name, value, candidate.parameter.unit)
+            )
+    return [entry[1:] for entry in sorted(found)]
+
+
+def left_in_words(ground: Ground, most: int = FEW) -> str:
+    """What is left: the regions that are least like noise, and on which samples it depends."""
+    regions = [f"{one.z:+.1f} sigma at {one.place}" for one in _distinct(ground.structure.where)[:most]]
+    by_pairs: dict[float, list[float]] = {}
+    for image in ground.fit.problem.images:
+        by_pairs.setdefault(image.sample.dbr_pairs, []).append(ground.structure.shots[image.shot.id].z)
+    pairs = ", ".join(f"{n:g} pairs z {max(z):.1f}" for n, z in sorted(by_pairs.items()))
+    return "; ".join(regions) + (f"; by DBR: {pairs}." if len(by_pairs) > 1 else ".")
+
+
+def _distinct(regions: Sequence[Region]) -> list[Region]:
+    """One of each family."""
+    return list({one.family: one for one in reversed(regions)}.values())[::-1]
