@@ -136,14 +136,14 @@ class Scheduler:
         return [] if task is None else self._end(task, event.at_s, "cancelled")
 
     def _joined(self, event: e.Joined) -> list[e.Command]:
-        """A worker comes, or comes back: it keeps what is still its own or nobody else has taken up since."""
+        """A worker comes, or comes back: it keeps what is still its own or nobody else has taken up since.
+
+        What was leased to it and it does not name may be on its way: its next poll tells.
+        """
         before = self.workers.get(event.worker)
         commands = self._release_polls(event.worker)
         finished = before.finished if before else 0
         self.workers[event.worker] = WorkerRecord(event.worker, event.kind, event.slots, event.at_s, finished)
-        for lease in self.held_by(event.worker):
-            if (lease.task_id, lease.attempt) not in event.holding:
-                commands += self._requeue(lease, event.at_s, "the worker came back without it", blame=False)
         for task_id, attempt in event.holding:
             if not self._adopt(event, task_id, attempt):
                 commands.append(e.Stop(event.worker, task_id, attempt))

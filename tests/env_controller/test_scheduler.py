@@ -204,11 +204,12 @@ class TestComingBack:
         story.core.handle(e.Withdrawn(1.0, A))
         assert story.join("w1", (A, 1)) == [e.Stop("w1", A, 1)]
 
-    def test_without_it_the_task_is_free_again(self) -> None:
-        """Back with empty hands: the task is queued at once, nobody to blame."""
+    def test_without_it_the_next_poll_tells(self) -> None:
+        """Back with empty hands the lease may be on its way; who polls without it never got it, nobody to blame."""
         story = Story().leased()
         assert story.join("w1") == []
-        assert A in story.core.ready["film"]
+        assert story.core.leases[A].attempt == 1
+        assert story.poll() == [e.Grant(2, "w1", A, 2)]
         assert story.core.tasks[A].failures == []
 
     def test_a_link_of_ours_that_was_cut_is_nobody_s_fault(self) -> None:
