@@ -18,6 +18,7 @@ from agent.campaign import INTERRUPTED, Runner
 from agent.checkpoints import Checkpoints
 from agent.config import Campaign
 from agent.designers import designer
+from agent.effects_tried import EffectsKept, refuse_unusable, roomiest, sources
 from agent.live import live
 from agent.moves import Space
 from agent.progress import WALK, Found, Past, Progress
@@ -107,7 +108,7 @@ class Start:
         with (
             interruptible() as interrupted,
             Client(self.settings, local=self.local, patience_s=PATIENCE_S, ray_workers=workers) as client,
-            RunDoor.begin(client, plan, self._facts(), self._attachments(), **self._which()) as door,
+            self._begun(client) as door,
             live(self.show, plan.run, campaign.stop.evaluations, client) as look,
         ):
             door.on_lost = lost(self.show)
@@ -123,6 +124,15 @@ class Start:
             walk = tuple(runner.designer.known.uniformity.values())
             stopped = found.reason == INTERRUPTED
             return Launched(plan.run, found, door.end(found.reason, complete=not stopped), stopped, walk)
+
+    def _begun(self, client: Client) -> RunDoor:
+        """The open run. Before it is begun, its workers have shown that they can do what the model's effects ask."""
+        plan = self.plan
+        if self.say and self.model.effects:
+            warn("trying the model's effects")
+        for idle in refuse_unusable(client, self.model, plan.model, roomiest(plan), plan.walk.method):
+            warn(idle)
+        return RunDoor.begin(client, plan, self._facts(), self._attachments(), **self._which())
 
     def _which(self) -> dict[str, Any]:
         """Whether a run is gone on with, and which journal of it is meant."""
@@ -143,11 +153,12 @@ class Start:
         }
 
     def _attachments(self) -> dict[str, str]:
-        """The files that say what is run: model, settings, packages, and what other rooms have on the model."""
+        """The files that say what is run: model and own effects, settings, packages, what other rooms have on it."""
         files = {
             "model.toml": to_toml(self.model),
             "campaign.json": canonical(self.campaign).decode(),
             "packages.txt": packages(),
+            **sources(self.model, self.settings.effects),
         }
         for point in entry_points(group="luxloop.attachments"):
             files |= point.load()(self.model.environment)
@@ -170,8 +181,8 @@ class Start:
             learning=campaign.learner,
         )  # fmt: skip
         return Runner(
-            door, chooser, campaign.stop, lanes=campaign.lanes, seed=campaign.seed, look=look,
-            stop_wanted=interrupted.is_set, past=self.past, on_turn=checkpoints.on_turn,
+            EffectsKept(door, self.on_record), chooser, campaign.stop, lanes=campaign.lanes, seed=campaign.seed,
+            look=look, stop_wanted=interrupted.is_set, past=self.past, on_turn=checkpoints.on_turn,
             on_walk_end=lambda end: door.note(log=end.line),
         )  # fmt: skip
 

@@ -26,8 +26,8 @@ def difference(one: Document | None, other: Document | None) -> Document | None:
 
     Notes
     -----
-    Errors add in quadrature: the two were evaluated with seeds of their own. Relative change of the illuminance
-    r = a / b - 1, its error (a / b) sqrt((sa / a)^2 + (sb / b)^2).
+    Errors add in quadrature: the two were evaluated with seeds of their own. Of the illuminances the ratio
+    r = a / b, its error r sqrt((sa / a)^2 + (sb / b)^2).
     """
     if one is None or other is None:
         return None

@@ -25,7 +25,7 @@ from containers.effect import (
     StackEffect,
     changed,
 )
-from containers.scene import Scene
+from containers.scene import Cell, Scene
 from containers.stack import StackRows
 from luxloop.camera import Camera
 from luxloop.errors import InputError
@@ -147,6 +147,12 @@ class Effects:
         idle = (one.name for one in self.all if isinstance(one, StackEffect) and one.of == ("dbr",))
         return [f"{name} has no influence: the chip has no DBR (0 pairs)" for name in idle]
 
+    def idle_in(self, scene: Scene, dbr_pairs: float, images: bool) -> list[str]:
+        """A sentence for each effect that changes nothing of a module, or of what is asked of it."""
+        return self.without_influence(dbr_pairs) + [
+            f"{one.name} has no influence: {why}" for one in self.all if (why := _idle(one, scene, images))
+        ]
+
     def _spot(self, stack: Stack, of: Literal["dbr", "film"]) -> tuple[tuple[float, Stack], ...]:
         spot: tuple[tuple[float, Stack], ...] = ((1.0, stack),)
         for effect in self._of(of):
@@ -161,6 +167,18 @@ class Effects:
 
 
 NONE = Effects()
+
+
+def _idle(effect: Effect, scene: Scene, images: bool) -> str:
+    """Why an effect changes nothing here; empty where it may."""
+    if isinstance(effect, CurveEffect) or (isinstance(effect, StackEffect) and effect.of == ("film",)):
+        return "it acts on measured films, not on modules"
+    if isinstance(effect, DetectorEffect) and not images:
+        return "it acts on images of a camera, and none is asked for"
+    if isinstance(effect, SceneEffect) and guarded(effect, effect.scene, scene, kind=Scene) is scene:
+        endless = "; an endless array has no edge, no middle and no single chip" * isinstance(scene.layout, Cell)
+        return f"at these values it leaves this module as it is{endless}"
+    return ""
 
 
 def guarded(effect: Effect, hook: Callable[..., Data], *data: object, kind: type) -> Data:

@@ -107,7 +107,8 @@ class Catalogue:
         return Failure(
             code="unknown_effect",
             message=f"the {worker} worker does not know effect {applied.name}"
-            + (f" with source {applied.source_sha256}" if applied.source_sha256 else ""),
+            + (f" with source {applied.source_sha256}" if applied.source_sha256 else "")
+            + (f", only with source {own.source_sha256}" if own else ""),
             field=f"effects.{applied.name}",
             value=applied.source_sha256 or applied.name,
             allowed=allowed,

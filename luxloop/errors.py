@@ -51,4 +51,4 @@ class RemoteError(LuxloopError):
     @property
     def exit_code(self) -> int:  # type: ignore[override]  # a property where the base has a constant
         """2 where the request was at fault, 1 where the other side was."""
-        return 2 if self.failure.code in ("bad_input", "too_large") else 1
+        return 2 if self.failure.code in ("bad_input", "too_large", "unknown_effect") else 1

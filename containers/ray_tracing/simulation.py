@@ -77,8 +77,10 @@ def simulate(
     if request.method == "twin" and effects.beyond_twin:
         names = ", ".join(effects.beyond_twin)
         raise InputError("method", "twin", "monte_carlo", f"the twin cannot represent {names}")
-    scene = effects.scene(with_tops(scene, request.environment, film, effects))
-    return simulate_scene(request, scene, film, source, progress, threads, effects)
+    bare = with_tops(scene, request.environment, film, effects)
+    idle = effects.idle_in(bare, request.design.dbr_pairs, bool(request.images))
+    result, arrays = simulate_scene(request, effects.scene(bare), film, source, progress, threads, effects)
+    return result | {"warnings": idle + result["warnings"]}, arrays
 
 
 def simulate_scene(
@@ -91,7 +93,7 @@ def simulate_scene(
     effects: Effects = NONE,
 ) -> tuple[Document, Arrays]:
     """`simulate` of a scene that is already made: how it is solved, and what is answered, is the request's."""
-    warnings = [*scene_warnings(scene), *effects.without_influence(request.design.dbr_pairs)]
+    warnings = scene_warnings(scene)
     if request.method == "twin":
         found = _twin(request, scene, source, progress, threads)
     else:

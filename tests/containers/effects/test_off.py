@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 import tempfile
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -143,3 +145,29 @@ def test_nothing_applied_is_nothing(ask: Ask) -> None:
     """The effects of a request that names none."""
     assert ask()["images_per_mm2"].shape == (1, 16, 16)
     assert NONE.all == ()
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "array", "why"),
+    [
+        ("receiver_tilt", {"tilt_x_per_mm": 0.01, "tilt_y_per_mm": 0.0}, False, "an endless array has no edge"),
+        ("camera_psf", {"psf_um": 20.0, "profile": "gaussian"}, True, "no image|none is asked for"),
+        ("film_dispersion", None, True, "measured films"),
+        ("distance_error", {"distance_um": 0.0}, True, "leaves this module as it is$"),
+        ("distance_error", {"distance_um": 5.0}, False, ""),
+        ("receiver_tilt", {"tilt_x_per_mm": 0.01, "tilt_y_per_mm": 0.0}, True, ""),
+    ],
+)
+def test_what_changes_nothing_of_a_module_is_said(
+    name: str, values: dict[str, Value] | None, array: bool, why: str
+) -> None:
+    """By the scene that an effect leaves as it is, and by what is asked for."""
+    spec = SPECS[name]
+    effect = Catalogue().effects([AppliedEffect(name=name, parameters=values or off_of(spec))], "ray-tracing")
+    base = scene()
+    at = replace(base, layout=Array.regular(3, 3, 400.0, 700.0)) if array else base
+    said = effect.idle_in(at, 2.5, images=False)
+    assert len(said) == bool(why)
+    if why:
+        assert said[0].startswith(f"{name} has no influence: ")
+        assert re.search(why, said[0])

@@ -92,7 +92,7 @@ def test_an_effect_is_written_checked_and_simulated(running: RunningSet) -> None
     assert light[0] < light[1]
     assert light[1] == json.loads(simulated(running, "").stdout)["metrics"]["mean_illuminance_lx"]["value"]
     other = simulated(running, checked["stanza"].replace(sha256, f'source_sha256 = "{"0" * 64}"'))
-    assert other.returncode == 1
+    assert other.returncode == 2
     failure = json.loads(other.stdout)["error"]
     assert failure["code"] == "unknown_effect"
     assert "0" * 64 in failure["message"]

@@ -39,6 +39,12 @@ class Pretended:
         values = {f"{e.name}.{name}": value for e in model.effects for name, value in e.parameters.items()}
         return [Predicted(self.image(values), {}) for _ in views]
 
+    def several(self, wanted: Sequence[tuple[Model, View]], lender: Model) -> list[Any]:
+        """The image of each view, in one question."""
+        asked, seen = self.asked + 1, [self.images(model, [view], (), lender) for model, view in wanted]
+        self.asked = asked
+        return [found.irradiance_per_mm2 for (found,) in seen]
+
 
 def spec_of(parameter: EffectParameter, **facts: Any) -> EffectSpec:
     """An effect with this parameter."""
@@ -93,19 +99,20 @@ def test_a_parameter_per_chip_has_a_column_for_each_chip_in_the_views_of_such_mo
         np.testing.assert_allclose(column.parts[1], weight * ONE, rtol=1e-9)
 
 
-def test_the_same_model_is_asked_for_once_and_what_is_beyond_the_twin_is_traced() -> None:
-    """Base and moved models are remembered; an effect beyond the twin has an anchor with histories at each."""
+def test_moved_models_are_asked_for_together_and_once_and_what_is_beyond_the_twin_is_traced() -> None:
+    """They are remembered, and lent the base's exits; an effect beyond the twin has an anchor at each."""
     predictor = Pretended(lambda at: BASE + at.get("mine.a", 0.0) * ONE)
     sight = sight_of(predictor, SINGLE)
     for _ in range(2):
         signature(sight, Model(name="m"), spec_of(AMPLITUDE))
-    assert predictor.asked == 3
-    assert {anchor.histories for anchor in predictor.anchors} == {0}
+    assert predictor.asked == 1
+    assert {lender.sha256 for lender in predictor.anchors} == {Model(name="m").sha256}
+    predictor.anchors.clear()
     signature(sight, Model(name="m"), spec_of(AMPLITUDE, twin=False))
-    assert [anchor.histories > 0 and anchor.seed for anchor in predictor.anchors[3:]] == [1, 1, 1]
-    assert {anchor.model.sha256 for anchor in predictor.anchors[3:]} == {
-        with_effect(Model(name="m"), applied_to(spec_of(AMPLITUDE), {"a": a})).sha256 for a in (0.05, -0.05)
-    } | {Model(name="m").sha256}
+    assert [anchor.histories > 0 and anchor.seed for anchor in predictor.anchors] == [1, 1]
+    assert {anchor.model.sha256 for anchor in predictor.anchors} == {
+        with_effect(Model(name="m"), applied_to(spec_of(AMPLITUDE), {"a": a})).sha256 for a in (0.5, -0.5)
+    }
 
 
 def test_projection_takes_out_what_is_taken_and_only_that() -> None:
