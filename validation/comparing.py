@@ -34,7 +34,8 @@ ALL = "all images"
 REGIONS = 20
 """Told of all that were looked at."""
 MOST_MODEL_NOISE = 0.3
-"""Of a far field's Monte Carlo, rms in the measurement's sigma: as `validation.fit` has it for images."""
+"""Of a far field's Monte Carlo, rms in the measurement's sigma: its noise is not told to the fit, as that of images
+is, so a tenth of the variance is all that it may have."""
 NULLS = "nulls"
 """Folder in the cache: the distribution of noise after a fit depends on its layout, not on its data."""
 

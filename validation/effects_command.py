@@ -117,7 +117,7 @@ def new(
 
 def check(
     name: Annotated[str, typer.Argument(metavar="FILE|NAME", help="A file of your effects' folder, or an effect.")],
-    quick: Annotated[bool, typer.Option("--quick", help="Leave out the comparison with all other effects.")] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="Leave out what asks for all other effects.")] = False,
     model: ModelName = "paper",
     effects: Folder = None,
     no_local: NoLocal = False,
@@ -125,7 +125,7 @@ def check(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Check an effect: what it must keep, its derivative, its random numbers, which effects look like it."""
+    """Check an effect: what it must keep, its derivative, what looks like it, whether a diagnosis finds it again."""
     from luxloop.model_file import find_model
     from validation.effects.told import report
 
@@ -249,6 +249,7 @@ def _predicted(at: _At, model: Model, spec: EffectSpec, quick: bool, document: d
     """What whole predictions tell of an effect, on images, or on a film's curves where it changes no image."""
     from validation.effects import checking
     from validation.effects.known import acting
+    from validation.self_diagnosis import self_diagnosed
 
     if not acting(spec):
         yield checking.Finding("derivative", None, "no parameter has a slope at off: refits will tell")
@@ -264,6 +265,7 @@ def _predicted(at: _At, model: Model, spec: EffectSpec, quick: bool, document: d
         near = checking.likeness(ground, model, spec, columns, at.known.specs)
         document["near"] = [[name, round(cosine, 3)] for name, cosine in near]
         yield checking.looks_like(near, ground.name)
+        yield self_diagnosed(ground, at.predictor, at.known, model, spec, columns, lambda _, words: at.say(words))
 
 
 def _ground(at: _At, model: Model, spec: EffectSpec) -> tuple[Ground, list[Any]]:

@@ -64,13 +64,16 @@ def samples() -> Iterator[Sample]:
             )  # fmt: skip
 
 
-def example_images(model: Model, predictor: Predictor) -> list[MeasuredImage]:
-    """Six images as the model itself would give them, without noise: what a data set of the paper's kind can tell."""
+def example_images(model: Model, predictor: Predictor, histories: int = 0, seed: int = 1) -> list[MeasuredImage]:
+    """Six images as the model itself would give them, without noise: what a data set of the paper's kind can tell.
+
+    Of the twin, or by so many histories of Monte Carlo each.
+    """
     all_samples, middle = list(samples()), ((BINNED_PX - 1) / 2.0,) * 2
     pixel_um = BINNING * CAMERA.pixel_um
     views = [View(one, BINNED_PX, BINNED_PX, pixel_um, (middle[0], middle[1])) for one in all_samples]
     peak_dn = PEAK_SHARE * (CAMERA.saturation_dn - CAMERA.black_level_dn)
-    found = predictor.images(model, views)
+    found = predictor.monte_carlo(model, views, histories, seed) if histories else predictor.images(model, views)
     return [
         _image(sample, peak_dn * one.irradiance_per_mm2 / one.irradiance_per_mm2.max())
         for sample, one in zip(all_samples, found, strict=True)

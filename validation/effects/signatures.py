@@ -9,7 +9,7 @@ an effect, Monte Carlo runs at each moved model with the same random numbers.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -33,7 +33,8 @@ from validation.prediction.differences import stencil
 Real = NDArray[np.float64]
 
 STEP_SHARE = {"value": 0.1, "square": 0.04}
-"""Of the way from off to the end of the range, in the score variable: 0.04 of its square is 0.2 of a width."""
+"""Of the way from off to the end of the range, in the score variable: 0.04 of its square is 0.2 of a width. By Monte
+Carlo steps are as long as the range allows."""
 HISTORIES = 1_000_000
 """Of Monte Carlo, for each sample, where the twin cannot represent an effect."""
 COLUMN_ERROR = 0.08
@@ -65,21 +66,46 @@ class Sight:
         traced : by Monte Carlo, even where the twin would do. views : numbers of those wanted, default all; others 0.
         lender : whose chips' exits stand for those of a chip near them, so that what was moved has no new noise.
         """
-        wanted = tuple(range(len(self.views)) if views is None else views)
-        traced = traced or any(effect.name in self.beyond_twin for effect in model.effects)
-        anchor = Anchored(model, self.histories, self.seed) if traced else Anchored(lender or model, 0)
-        key = (model.sha256, anchor.model.sha256, traced, wanted)
-        if key not in self._known:
-            self._known[key] = (*self._images(model, anchor, wanted), *self._curves(model))
-        return self._known[key]
+        (found,) = self.parts_of([model], traced, views, lender)
+        return found
 
-    def _images(self, model: Model, anchor: Anchored, wanted: Sequence[int]) -> Iterator[Real]:
+    def parts_of(
+        self,
+        models: Sequence[Model],
+        traced: bool = False,
+        views: Sequence[int] | None = None,
+        lender: Model | None = None,
+    ) -> list[tuple[Real, ...]]:
+        """The same of several models, asked for together."""
+        wanted = tuple(range(len(self.views)) if views is None else views)
+        traced = traced or any(one.name in self.beyond_twin for model in models for one in model.effects)
+        keys = [(model.sha256, None if traced else (lender or model).sha256, wanted) for model in models]
+        new = {key: model for key, model in zip(keys, models, strict=True) if key not in self._known}
+        if new:
+            images = self._traced(new.values(), wanted) if traced else self._of_twin(new.values(), wanted, lender)
+            for (key, model), seen in zip(new.items(), images, strict=True):
+                self._known[key] = (*self._placed(seen, wanted), *self._curves(model))
+        return [self._known[key] for key in keys]
+
+    def _traced(self, models: Iterable[Model], wanted: Sequence[int]) -> Iterator[list[Real]]:
         asked = [self.views[number] for number in wanted]
-        found = self.predictor.images(model, asked, (), anchor) if asked else []
-        by_view = dict(zip(wanted, found, strict=True))
+        for model in models:
+            anchor = Anchored(model, self.histories, self.seed)
+            found = self.predictor.images(model, asked, (), anchor) if asked else []
+            yield [one.irradiance_per_mm2 for one in found]
+
+    def _of_twin(self, models: Iterable[Model], wanted: Sequence[int], lender: Model | None) -> Iterator[list[Real]]:
+        several = list(models)
+        pairs = [(model, self.views[number]) for model in several for number in wanted]
+        found = self.predictor.several(pairs, lender or several[0]) if pairs else []
+        count = len(wanted)
+        yield from (found[first * count : (first + 1) * count] for first in range(len(several)))
+
+    def _placed(self, seen: Sequence[Real], wanted: Sequence[int]) -> Iterator[Real]:
+        """An image for each view; dark where it was not wanted."""
+        by_view = dict(zip(wanted, seen, strict=True))
         for number, view in enumerate(self.views):
-            nothing = np.zeros((view.rows, view.columns))
-            yield by_view[number].irradiance_per_mm2 if number in by_view else nothing
+            yield by_view.get(number, np.zeros((view.rows, view.columns)))
 
     def _curves(self, model: Model) -> Iterator[Real]:
         if self.curves:
@@ -115,12 +141,12 @@ def signature(
     ------
     RemoteError : what a worker refuses.
     """
-    columns = []
+    columns: list[Column] = []
     for one in acting(spec):
         for chips, views in _modules(sight, one):
-            for chip in range(chips) if one.per_chip else (None,):
-                moving = _Moving(sight, model, spec, one, dict(shape or {}), chips, chip, views)
-                columns.append(_column(moving, scale))
+            several = range(chips) if one.per_chip else (None,)
+            moving = [_Moving(model, spec, one, dict(shape or {}), chips, chip) for chip in several]
+            columns += _columns(sight, moving, views, scale)
     return columns
 
 
@@ -128,14 +154,12 @@ def signature(
 class _Moving:
     """A parameter that is moved: of which effect, of which chip, in which views."""
 
-    sight: Sight
     model: Model
     spec: EffectSpec
     one: EffectParameter
     shape: dict[str, Value]
     chips: int
     chip: int | None
-    views: Sequence[int] | None
 
     @property
     def start(self) -> dict[str, Value]:
@@ -149,11 +173,20 @@ class _Moving:
         value = self.start[self.one.name]
         return float(value[self.chip or 0] if isinstance(value, tuple) else value)
 
-    def moved(self, by: float) -> tuple[Real, ...]:
-        """What is seen after a step in the score variable. Raises InputError where that leaves the range."""
-        if not by:
-            return self.sight.parts(self.model, not self.spec.twin, self.views)
-        return self.sight.parts(self._model(self._value(by)), not self.spec.twin, self.views, self.model)
+    def moved(self, by: float) -> Model:
+        """The model after a step in the score variable. Raises InputError where that leaves the range."""
+        return self._model(self._value(by)) if by else self.model
+
+    def step(self, scale: float) -> float:
+        """In the score variable."""
+        one = self.one
+        room = [abs(float(end or 0.0) - float(one.off or 0.0)) for end in (one.lower, one.upper)]
+        both, square = min(room) > 0.0, one.score_variable == "square"
+        whole = max(room) ** 2 if square else min(room) if both else max(room)
+        if self.spec.twin:
+            return scale * STEP_SHARE[one.score_variable] * whole
+        # short steps would leave the noise of Monte Carlo and little else: as far as there is room for
+        return min(scale, 1.0) * whole * (1.0 if both and not square else 0.5)
 
     def _value(self, by: float) -> float:
         value, off = self.value, float(self.one.off or 0.0)
@@ -177,17 +210,15 @@ class _Moving:
         return with_effect(self.model, applied(self.spec, values))
 
 
-def _column(moving: _Moving, scale: float) -> Column:
-    one = moving.one
-    room = [abs(float(end or 0.0) - float(one.off or 0.0)) for end in (one.lower, one.upper)]
-    reach = min(room) if min(room) > 0.0 else max(room)
-    square = one.score_variable == "square"
-    step = scale * STEP_SHARE[one.score_variable] * (max(room) ** 2 if square else reach)
-    parts = [np.zeros_like(part) for part in moving.moved(0.0)]
-    for weight, seen in stencil(moving.moved, step, f"effects.{moving.spec.name}.{one.name}"):
-        for part, moved in zip(parts, seen, strict=True):
-            part += weight * moved
-    return Column(moving.spec.name, one.name, moving.shape, moving.chip, step, tuple(parts))
+def _columns(sight: Sight, moving: Sequence[_Moving], views: Sequence[int] | None, scale: float) -> Iterator[Column]:
+    """The columns of parameters, or of the chips of one, of one effect: all moved models are asked for together."""
+    steps = [stencil(one.moved, one.step(scale), f"effects.{one.spec.name}.{one.one.name}") for one in moving]
+    models = [step.what for several in steps for step in several]
+    seen = iter(sight.parts_of(models, not moving[0].spec.twin, views, moving[0].model) if models else ())
+    for one, several in zip(moving, steps, strict=True):
+        weighted = [[step.weight * part for part in next(seen)] for step in several]
+        parts = tuple(np.asarray(sum(of_models)) for of_models in zip(*weighted, strict=True))
+        yield Column(one.spec.name, one.one.name, one.shape, one.chip, one.step(scale), parts)
 
 
 def _modules(sight: Sight, one: EffectParameter) -> Iterator[tuple[int, Sequence[int] | None]]:

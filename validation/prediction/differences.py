@@ -30,8 +30,10 @@ class Moved(NamedTuple, Generic[T]):
     what: T
 
 
-def moved_models(model: Model, path: str) -> list[Moved[Model]]:
+def moved_models(model: Model, path: str, share: float = SHARE) -> list[Moved[Model]]:
     """Models whose images, times their weights, sum up to the derivative by the parameter at a path.
+
+    `share` : of its fit's range, or of its value, that a step is long.
 
     Raises
     ------
@@ -41,7 +43,7 @@ def moved_models(model: Model, path: str) -> list[Moved[Model]]:
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise InputError("path", path, "the path of a number in the model", "luxloop model show lists them")
     fit = model.fit.get(path)
-    step = SHARE * (fit.upper - fit.lower) if fit is not None else SHARE * abs(value)
+    step = share * (fit.upper - fit.lower) if fit is not None else share * abs(value)
     return stencil(lambda by: model.with_value(path, value + by), step_of(path, step), path)
 
 

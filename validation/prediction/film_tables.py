@@ -10,6 +10,7 @@ from luxloop.ray import Film
 
 if TYPE_CHECKING:
     from luxloop.model import Model
+    from validation.prediction.catalogue import Catalogue
     from validation.prediction.words import Asks
 
 FIELDS = ("peak_nm", "fwhm_nm", "indices", "n_gan", "n_aln", "gan_layer_nm", "aln_layer_nm", "layer_order")
@@ -19,8 +20,8 @@ FIELDS = ("peak_nm", "fwhm_nm", "indices", "n_gan", "n_aln", "gan_layer_nm", "al
 class FilmTables:
     """The tables of one session."""
 
-    def __init__(self, client: Asks) -> None:
-        self._client = client
+    def __init__(self, client: Asks, catalogue: Catalogue) -> None:
+        self._client, self._catalogue = client, catalogue
         self._known: dict[str, Film] = {}
         self._fresh = False
 
@@ -30,7 +31,8 @@ class FilmTables:
             return None
         environment = Environment(**{name: getattr(model.environment, name) for name in FIELDS})
         line = Spectrum(peak_nm=environment.peak_nm, fwhm_nm=environment.fwhm_nm)
-        request = FilmTableRequest(environment=environment, dbr_pairs=dbr_pairs, spectrum=line, effects=model.effects)
+        effects = self._catalogue.of_films(model)
+        request = FilmTableRequest(environment=environment, dbr_pairs=dbr_pairs, spectrum=line, effects=effects)
         key = request.model_dump_json()
         if key not in self._known:
             result = self._client.run(request, fresh=self._fresh).result

@@ -43,6 +43,8 @@ JACOBIAN_EXITS, FINE_EXITS = 65_536, 262_144
 their own noise adds to its errors (decision 27)."""
 DIFFERENCE_HISTORIES = 1_000_000
 """Of Monte Carlo, where the twin cannot represent an effect that is moved."""
+DIFFERENCE_SHARE = 0.25
+"""Of its range, that it is then moved: a short step would leave the noise of Monte Carlo and little else."""
 DIFFERENCE_EXITS = 262_144
 """Of moved models: each has a walk of its own, and more noise."""
 
@@ -117,6 +119,20 @@ def predict(wanted: Wanted, views: Sequence[View], ask: Ask) -> list[Predicted]:
             columns = found[moves[n].view].jacobian_per_mm2
             columns[moves[n].path] = columns.get(moves[n].path, 0.0) + moves[n].weight * _real(image)
     return [found[number] for number in range(len(views))]
+
+
+def several(wanted: Sequence[tuple[Model, View]], lender: Model, film_of: FilmOf, ask: Ask) -> list[Real]:
+    """The twin's images of views in models, with the exits of a lender's chips where these can stand for theirs."""
+    groups = list(_groups([view for _, view in wanted], 1 + ANCHOR_FUNCTIONS))
+    requests = []
+    for group in groups:
+        shots = tuple(_shot(*wanted[number], film_of) for number in group)
+        lent = tuple(_shot(lender, wanted[number][1], film_of) for number in group)
+        requests.append(PredictionRequest(shots=shots, anchor=AnchorRequest(shots=lent, histories=0)))
+    found: dict[int, Real] = {}
+    for group, answer in zip(groups, ask(requests), strict=True):
+        found |= dict(zip(group, map(_real, answer.arrays["images_per_mm2"]), strict=True))
+    return [found[number] for number in range(len(wanted))]
 
 
 def simulation(model: Model, view: View, histories: int, seed: int, number: int, film_of: FilmOf) -> RayRequest:
@@ -238,7 +254,8 @@ def _moves(wanted: Wanted, views: Sequence[View]) -> Iterator[_Move]:
     for path in wanted.differences:
         of_effect = path.startswith("effects.")
         at = wanted.model if wanted.anchor is None or of_effect else wanted.anchor.model
-        for weight, model in moved_models(at, path):
+        traced = of_effect and path.split(".")[1] in wanted.beyond_twin
+        for weight, model in moved_models(at, path, DIFFERENCE_SHARE) if traced else moved_models(at, path):
             yield from (_Move(path, weight, model, number) for number in range(len(views)))
 
 

@@ -7,10 +7,10 @@ from copy import copy
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from luxloop.errors import RemoteError
-from luxloop.ray import EffectsRequest
 from validation.prediction import far_fields, images, spectra
+from validation.prediction.catalogue import Catalogue
 from validation.prediction.film_tables import FilmTables
-from validation.prediction.words import POSE_COLUMNS, Anchored, Asks, Curve, FarView, Predicted, PredictedCurve, View
+from validation.prediction.words import Anchored, Asks, Curve, FarView, Predicted, PredictedCurve, Real, View
 
 if TYPE_CHECKING:
     from luxloop.client import Answer
@@ -28,9 +28,9 @@ class Predictor:
     """What asks the workers; film tables are remembered, so keep one for a session."""
 
     def __init__(self, client: Asks) -> None:
-        self._client, self._films = client, FilmTables(client)
+        self._client, self._catalogue = client, Catalogue(client)
+        self._films = FilmTables(client, self._catalogue)
         self._progress: Progress | None = None
-        self._known_beyond: frozenset[str] | None = None
 
     def telling(self, progress: Progress) -> Predictor:
         """The same; `progress` is told the share done of each long answer, and what is done, from several threads."""
@@ -54,17 +54,17 @@ class Predictor:
         InputError : a path that is not in the model or cannot move.
         RemoteError : what a worker refuses, with the field of its shot.
         """
-        wanted = images.Wanted(model, tuple(paths), anchor, self._films.of, self._beyond_twin(model, paths))
+        wanted = images.Wanted(model, tuple(paths), anchor, self._films.of, self._catalogue.beyond_twin(model))
         return self._again(lambda: images.predict(wanted, views, self._answers))
 
-    def _beyond_twin(self, model: Model, paths: Sequence[str]) -> frozenset[str]:
-        """Effects that the twin cannot represent; asked once, where a model with effects is differentiated."""
-        if not model.effects or all(path in POSE_COLUMNS for path in paths):
-            return frozenset()
-        if self._known_beyond is None:
-            told = self._client.run(EffectsRequest(), fresh=True).result["effects"]
-            self._known_beyond = frozenset(one["name"] for one in told if not one.get("twin", True))
-        return self._known_beyond
+    def several(self, wanted: Sequence[tuple[Model, View]], lender: Model) -> list[Real]:
+        """The twin's images (row, column) of views, each in a model of its own, as many together as a request holds.
+
+        Parameters
+        ----------
+        lender : whose chips' exits stand for those of a chip near them, so that what was moved has no new noise.
+        """
+        return self._again(lambda: images.several(wanted, lender, self._films.of, self._answers))
 
     def monte_carlo(
         self, model: Model, views: Sequence[View], histories: int, seed: int, heard: Heard | None = None

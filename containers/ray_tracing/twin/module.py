@@ -8,8 +8,12 @@ make a smooth map. Of powers and displacements everything is in it but that neig
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from hashlib import sha256
+from threading import Lock
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +38,9 @@ PAD = 2.0
 """In distances: how far beyond the module's edge the map goes on."""
 MOST_BINS = 512
 """Along a half of one chip's map."""
+SLACK = 0.25
+"""In distances: of the pad, what chips may stand beyond their lattice."""
+HELD_LIGHTS = 32
 STEPS_PER_SD = 4.0
 """Of the spread in the receiver's plate, at least."""
 
@@ -47,6 +54,7 @@ class ModuleTwin:
     groups : independent groups that are kept apart, a divisor of the exits' own; 2 are the fewest, and the fastest.
     seed : of all frozen random numbers.
     shadow_rays : rays that measure what the chips take from the light sent back; 0: they take nothing.
+    known : light of chips that is remembered; it only saves time.
 
     Raises
     ------
@@ -67,14 +75,18 @@ class ModuleTwin:
         shadow_rays: int = RAYS,
         seed: int = SEED,
         threads: int | None = None,
+        known: Lights | None = None,
     ) -> None:
         self.scene, self.layout = scene, open_array(scene)
         way = open_way(*surroundings(scene, self.layout))
         lit = emission_arrays(replace(scene, layout=Cell(self.layout.spacing_um)))
-        self.chip = one_chip(
-            scene, direct_light(way, lit, exits, seed, blocks=blocks, groups=groups, threads=threads)
-        )
-        lost = self._lost(way, lit, shadow_rays, seed, threads)
+
+        def make() -> tuple[ChipMap, float]:
+            tally = direct_light(way, lit, exits, seed, blocks=blocks, groups=groups, threads=threads)
+            return one_chip(scene, tally), self._lost(way, lit, shadow_rays, seed, threads)
+
+        key = digest_of(way, lit, id(exits), blocks, groups, shadow_rays, seed) if known is not None else ""
+        self.chip, lost = make() if known is None else known.of(key, exits, make)
         self.exchange = Exchange(
             self.layout, scene.substrate, scene.receiver, scene.distance_um, lost, Leak.of(scene)
         )
@@ -168,9 +180,46 @@ class ChipMap:
     histories: int
 
 
+class Lights:
+    """The light of chips, each reckoned once: modules whose chips only stand or shine otherwise share it."""
+
+    def __init__(self) -> None:
+        self._lock = Lock()
+        self._held: OrderedDict[str, tuple[Exits, tuple[ChipMap, float]]] = OrderedDict()
+
+    def of(self, key: str, exits: Exits, make: Callable[[], tuple[ChipMap, float]]) -> tuple[ChipMap, float]:
+        """What is held under a key, or made now; the exits are kept with it, so that no other gets their id."""
+        with self._lock:
+            held = self._held.get(key)
+        found = held[1] if held is not None else make()
+        with self._lock:
+            self._held[key] = exits, found
+            self._held.move_to_end(key)
+            if len(self._held) > HELD_LIGHTS:
+                self._held.popitem(last=False)
+        return found
+
+
+def digest_of(way: Way, emission: EmissionArrays, *facts: object) -> str:
+    """Of all that decides the light of one chip among its neighbours."""
+    traced = way.arrays
+    digest = sha256(repr((traced.kept, *facts)).encode())
+    parts: list[NDArray[Any]] = [*emission, traced.box]
+    for scene in (traced.scene, traced.receiver):
+        parts += [scene.numbers, scene.flags, scene.surfaces.layout, scene.surfaces.tables]
+    for part in parts:
+        digest.update(repr(part.shape).encode() + part.tobytes())
+    return digest.hexdigest()
+
+
 def surroundings(scene: Scene, layout: Array) -> tuple[Scene, Box]:
-    """A chip at (0, 0) with as many others around it as any chip of the array sees, and bins around it; no edge."""
-    reach = max(layout.half_x_um, layout.half_y_um) + float(np.abs(layout.centres_um).max()) + PAD * scene.distance_um
+    """A chip at (0, 0) with as many others around it as any chip of the array sees, and bins around it; no edge.
+
+    Chips that stand a little beyond their lattice ask for no larger map: its pad is for them, too.
+    """
+    lattice = 0.5 * (max(layout.rows, layout.columns) - 1) * layout.spacing_um
+    furthest = max(lattice, float(np.abs(layout.centres_um).max()) - SLACK * scene.distance_um)
+    reach = max(layout.half_x_um, layout.half_y_um) + furthest + PAD * scene.distance_um
     around = Array.regular(
         2 * layout.rows - 1, 2 * layout.columns - 1, layout.spacing_um, reach + 4.0 * scene.distance_um
     )

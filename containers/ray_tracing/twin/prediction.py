@@ -26,7 +26,7 @@ from containers.ray_tracing.light_map import LightMap
 from containers.ray_tracing.several_tops import scenes_of
 from containers.ray_tracing.twin.columns import CameraColumn, Column
 from containers.ray_tracing.twin.direct import in_parallel
-from containers.ray_tracing.twin.module import BINS_PER_HEIGHT, PAD, ModuleTwin
+from containers.ray_tracing.twin.module import BINS_PER_HEIGHT, PAD, Lights, ModuleTwin
 from containers.ray_tracing.twin.noise import NoiseBasis, noise_columns
 from containers.ray_tracing.twin.reweighting import OtherChipError, reweighted
 from containers.scene import Array, Scene
@@ -92,6 +92,7 @@ class Supply:
         self._known: OrderedDict[tuple[int, ...], tuple[Scene, str]] = OrderedDict()
         self._walked: OrderedDict[str, Exits] = OrderedDict()
         self._found: OrderedDict[tuple[str, str], Exits] = OrderedDict()
+        self.lights = Lights()
 
     def of(self, scene: Scene, base: Scene | None = None) -> Exits:
         """Exits of the scene's chip: the base's where they can stand for them, else its own."""
@@ -261,7 +262,7 @@ def twin_views(
         shot = shots[number]
         with named(shot.name):
             pairs = zip(parts[number], exits[number], strict=True)
-            twins = [ModuleTwin(one, its, threads=1, **options) for one, its in pairs]
+            twins = [ModuleTwin(one, its, threads=1, known=supply.lights, **options) for one, its in pairs]
             light = light_map(lambda x, y: sum(twin.mean(x, y) for twin in twins), shot)
             images[number] = shot.image(light)
             for derivative, column in zip(of_camera, cameras, strict=True):

@@ -69,6 +69,10 @@ class Affected(Spots):
             )
         return affected
 
+    def several(self, wanted: Sequence[tuple[Model, View]], lender: Model) -> list[Real]:  # noqa: ARG002  # no chips
+        """As the predictor's."""
+        return [self.images(model, [view])[0].irradiance_per_mm2 for model, view in wanted]
+
 
 def seen(model: Model, view: View, image: Real) -> Real:
     """An image with the model's effects."""

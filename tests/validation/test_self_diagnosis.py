@@ -1,0 +1,93 @@
+"""What `effects check` asks last: hidden at 20 sigma, is an effect found again?"""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from luxloop.client import Client
+from luxloop.effect import EffectParameter, EffectSpec
+from luxloop.model_file import find_model
+from luxloop.settings import Settings
+from tests.running_set import RunningSet
+from validation.effects.confounding import Confounding
+from validation.effects.confusing import image_ground
+from validation.effects.known import Known
+from validation.effects.signatures import Column
+from validation.prediction import Predictor
+from validation.self_diagnosis import SIGMA, loudest, self_diagnosed, verdict_on
+
+
+def parameter(name: str, **facts: Any) -> EffectParameter:
+    """From 0, where it is off, to 2."""
+    return EffectParameter(name=name, description="", **({"lower": 0.0, "upper": 2.0, "off": 0.0} | facts))
+
+
+def spec(*parameters: EffectParameter) -> EffectSpec:
+    """An effect with these."""
+    return EffectSpec(name="mine", stage="module", description="", parameters=parameters)
+
+
+def column(name: str) -> Column:
+    """Of a parameter; its parts do not matter here."""
+    return Column("mine", name, {}, None, 0.1, ())
+
+
+def test_the_size_is_that_of_20_sigma_or_the_end_of_the_range() -> None:
+    """In the value and in its square; of two parameters the one that shows most; downwards where off is the top."""
+    one, other = parameter("a"), parameter("b")
+    chosen, value, sigma = loudest(spec(one, other), [column("a"), column("b")], np.diag([10.0, 40.0]))
+    assert (chosen.name, value, sigma) == ("b", pytest.approx(0.5), SIGMA)
+    square = parameter("w", score_variable="square")
+    assert loudest(spec(square), [column("w")], np.array([[20.0 / 0.09]]))[1] == pytest.approx(0.3)
+    assert loudest(spec(one), [column("a")], np.array([[4.0]]))[1:] == (2.0, 8.0)
+    down = parameter("g", off=2.0)
+    assert loudest(spec(down), [column("g")], np.array([[40.0]]))[1] == pytest.approx(1.5)
+
+
+@pytest.mark.parametrize(
+    ("named", "sigma", "ok"),
+    [
+        (("mine",), SIGMA, True),
+        (("other", "mine"), SIGMA, True),
+        (("alike",), SIGMA, True),
+        (("other",), SIGMA, False),
+        ((), SIGMA, False),
+        ((), 4.0, None),
+    ],
+)
+def test_the_name_or_its_group_is_demanded_at_20_sigma(named: tuple[str, ...], sigma: float, ok: bool | None) -> None:
+    """Below that, at the end of a range, nothing is demanded."""
+    cosines = np.array([[1.0, 0.95, 0.0], [0.95, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    step = SimpleNamespace(
+        verdict=SimpleNamespace(set=named), confounding=Confounding(("mine", "alike", "other"), cosines)
+    )
+    found: Any = SimpleNamespace(steps=[step], verdict=SimpleNamespace(word="one_effect"))
+    finding = verdict_on(spec(parameter("a")), found, "a 1", sigma)
+    assert finding.ok is ok
+    assert finding.said.startswith(f"a 1 hidden, {sigma:.0f} sigma: one_effect")
+
+
+@pytest.mark.slow
+def test_an_effect_of_the_catalogue_finds_itself(settings: Settings) -> None:
+    """Vignetting at 20 sigma among three effects, by real workers."""
+    running = RunningSet(settings)
+    try:
+        running.add("-m", "luxloop", "serve", "thin-film")
+        running.add("-m", "luxloop", "serve", "ray-tracing")
+        model = find_model("paper")
+        with Client(running.settings, local=False, patience_s=60.0) as client:
+            predictor, known = Predictor(client), Known.ask(client)
+            few = [known.spec(name) for name in ("vignetting", "veiling_glare", "substrate_lobe")]
+            ground = image_ground(model, predictor, known)
+            columns = ground.columns(model, few[0])
+            only = Known(tuple(few), {}, {})
+            finding = self_diagnosed(ground, predictor, only, model, few[0], columns)
+    finally:
+        running.close()
+    assert finding.ok, finding.said
+    assert "corner_loss" in finding.said
+    assert "20 sigma: one_effect: vignetting" in finding.said
