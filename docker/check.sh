@@ -39,7 +39,8 @@ trap leave EXIT
 git ls-files -co --exclude-standard -z | xargs -0 ls -d 2>/dev/null | tar -cf - -T - | tar -C "$clone" -xf -
 cp docker/wheels/*.whl "$clone/docker/wheels/" 2>/dev/null || true
 cd "$clone"
-[ "$(id -u)" != 0 ] || chown -R 1000:1000 runs # the services run as uid 1000 then
+mkdir -p effects
+[ "$(id -u)" != 0 ] || chown -R 1000:1000 runs effects # the services run as uid 1000 then
 docker compose down --volumes >/dev/null 2>&1
 
 heading "build, on $(nproc) cores, engine $(docker version --format '{{.Server.Version}}'), compose $(docker compose version --short)"
@@ -109,6 +110,34 @@ for words in "campaign list" "audit verify killed" "doctor"; do
   printf '$ docker compose run --rm campaign %s\n' "$words"
   run $words | sed 's/^/    /'
 done
+
+heading "a user's own effect: written, checked, simulated; a broken one refused"
+run effects new my_warmth --stage module | sed 's/^/    /'
+run effects check my_warmth --quick >"$clone/checked" || { cat "$clone/checked"; false; }
+sed 's/^/    /' "$clone/checked"
+design=(simulate --design 180,40,500,20,2.5 --method twin)
+{ cat luxloop/models/paper.toml; echo; sed -n '/^\[\[effects\]\]/,$p' "$clone/checked" | tr -d '\r'; } >runs/warm.toml
+uniformity() { run "${design[@]}" "$@" | grep -m1 'uniformity (Eq' | tr -s ' '; }
+plain=$(uniformity) warm=$(uniformity --model runs/warm.toml)
+say "without it" "$plain"
+say "with it" "$warm"
+[ "$plain" != "$warm" ]
+cat >effects/bright.py <<'EOF'
+from containers.effect import DetectorEffect, parameter
+
+
+class Bright(DetectorEffect):
+    """It makes light."""
+
+    name, formula, reference = "bright", "E (1 + s)", "none"
+    share: float = parameter("s", unit="", lower=0.0, upper=0.5, off=0.0)
+
+    def light(self, image, camera):
+        return image * (1.0 + self.share)
+EOF
+run effects list | grep -E '^refused|my_warmth' | sed 's/^/    /'
+[ "$(uniformity)" = "$plain" ]
+say "the worker after it" "answers as before"
 
 heading "a uid that cannot write ./runs"
 code=0

@@ -343,6 +343,8 @@ def record_arrival(scene: SceneArrays, ray: Real, stream: Stream, sinks: Sinks, 
             shift = numbers[of.SPREAD_SIGMA] * sqrt(2.0 * minus_log(b))
             across, along = cos_sin_turn(c)
             x, y = x + shift * across, y + shift * along
+            if scene.flags[of.WALLS]:
+                x, y = _between_walls(x, numbers[of.HALF_X]), _between_walls(y, numbers[of.HALF_Y])
     cosine = dz
     if numbers[of.TILT_X] != 0.0 or numbers[of.TILT_Y] != 0.0:
         slope_x, slope_y = numbers[of.DISTANCE] * numbers[of.TILT_X], numbers[of.DISTANCE] * numbers[of.TILT_Y]
@@ -351,6 +353,13 @@ def record_arrival(scene: SceneArrays, ray: Real, stream: Stream, sinks: Sinks, 
         x -= numbers[of.SPACING] * floor(x / numbers[of.SPACING] + 0.5)
         y -= numbers[of.SPACING] * floor(y / numbers[of.SPACING] + 0.5)
     _record(sinks, later, x, y, weight * recorded_share(scene, cosine))
+
+
+@inlined_kernel
+def _between_walls(x: float, half: float) -> float:
+    """A place in the plate, which ends at walls at +-half: what would be beyond one is where its mirror image is."""
+    turns = (x + half) / (4.0 * half)
+    return float(half * (1.0 - abs(4.0 * (turns - floor(turns)) - 2.0)))
 
 
 @inlined_kernel

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from luxloop.effect import AppliedEffect
 from luxloop.errors import InputError
 from luxloop.model import Fit
 from tests.validation.analytic import (
@@ -386,3 +387,17 @@ def test_a_fit_that_monte_carlo_noise_dominates_is_not_trusted():
         found = fit(MODEL, _data(), Spots(noise), anchor_at=lambda model: Anchored(model, 1000))
         assert any("histories for each sample" in reason for reason in found.distrust) == words
         assert found.trusted != words
+
+
+def test_what_the_twin_cannot_represent_is_never_fitted_by_the_twin():
+    """With nothing free the anchor serves from the start; by the twin alone the workers are asked without an anchor.
+
+    That question is the one that they refuse where an effect is beyond the twin.
+    """
+    walled = MODEL.model_copy(update={"effects": (AppliedEffect(name="walls", parameters={"reflectance": 0.3}),)})
+    about = Spots()
+    fit(walled, _data(1), about, free=(), anchor_at=lambda model: Anchored(model, 1000))
+    assert all(anchor is not None and anchor.histories == 1000 for anchor in about.anchors)
+    alone = Spots()
+    fit(walled, _data(1), alone)
+    assert alone.anchors[0] is None

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from luxloop.model import Model
 from validation.fit import CurveData, Fit
 from validation.fit.problem import CurvePredictor, ImagePredictor
-from validation.prediction import POSE_COLUMNS, Anchored, Predicted, PredictedCurve, View
+from validation.prediction import Anchored, Predicted, PredictedCurve, View
 
 Real = NDArray[np.float64]
 
@@ -38,10 +38,10 @@ class FrozenImages:
     def images(
         self, model: Model, views: Sequence[View], paths: Sequence[str] = (), anchor: Anchored | None = None
     ) -> list[Predicted]:
-        """The images of all views of the problem, in its order."""
+        """The images of all views of the problem, in its order; its predictor's derivatives where none are given."""
         asked, along = self._as_anchored(model, anchor)
-        found = self.predictor.images(asked, views, [path for path in paths if path in POSE_COLUMNS], anchor)
-        wanted = [path for path in paths if path not in POSE_COLUMNS]
+        wanted = [path for path in paths if path in self.slopes]
+        found = self.predictor.images(asked, views, [path for path in paths if path not in wanted], anchor)
         factors = {path: _factor(model, path, self.squares) for path in wanted}
         affected = []
         for number, one in enumerate(found):

@@ -21,14 +21,15 @@ from luxloop.errors import InputError
 from luxloop.model import Model
 from validation.fit.least_squares import Parameter, Reduced, Step, reduce
 from validation.fit.parameters import CurveData, Discrepancy, free_paths, unknowns_of
-from validation.fit.problem import CurvePredictor, Evaluation, ImagePredictor, Problem
+from validation.fit.problem import CurvePredictor, Evaluation, ImagePredictor, Problem, view_of
 from validation.fit.result import WANTED_NOISE, Fit, conclude, histories_for
 from validation.fit.start import start_values
 from validation.fit.whitening import Whitening
 from validation.measured import MeasuredImage
-from validation.prediction import Anchored
+from validation.prediction import Anchored, Pose
 
 Real = NDArray[np.float64]
+AnchorAt = Callable[[Model], Anchored | None]
 
 GAP = 0.1  # chi2
 NOISY_GAP = 1.0  # chi2: what derivatives with noise of their own may still promise where nothing is gained
@@ -46,7 +47,7 @@ def fit(
     predictor: ImagePredictor,
     *,
     free: Sequence[str] | None = None,
-    anchor_at: Callable[[Model], Anchored | None] | None = None,
+    anchor_at: AnchorAt | None = None,
     curves: Sequence[CurveData] = (),
     predict_curves: CurvePredictor | None = None,
     others: Sequence[Parameter] = (),
@@ -68,10 +69,12 @@ def fit(
         raise InputError("shots", 0, "at least one image or curve", "see luxloop dataset check")
     paths = free_paths(model) if free is None else tuple(free)
     unknowns = unknowns_of(model, paths, images, curves, others, discrepancies)
-    lent = Anchored(model, 0) if images and paths else None  # the start's chip exits stand for all: chi2 is smooth
     problem = Problem(
-        model, unknowns, tuple(images), predictor, tuple(curves), predict_curves, tuple(discrepancies), lent
-    )
+        model, unknowns, tuple(images), predictor, tuple(curves), predict_curves, tuple(discrepancies),
+        _lent(model, anchor_at, images, paths),
+    )  # fmt: skip
+    if model.effects and images and anchor_at is None:  # a worker refuses those that the twin cannot represent
+        predictor.images(model, [view_of(image, Pose()) for image in images])
     found = _unclipped(problem, start_values(problem, start or {}))
     for _ in range(MAX_ANCHORS if anchor_at is not None and images else 0):
         anchor = anchor_at(found.model) if anchor_at is not None else None
@@ -82,6 +85,18 @@ def fit(
         if _moved(found, at_anchor, paths) < ANCHOR_MOVE:
             break
     return _quieter(found, most_histories)
+
+
+def _lent(
+    model: Model, anchor_at: AnchorAt | None, images: Sequence[MeasuredImage], paths: Sequence[str]
+) -> Anchored | None:
+    """What a fit begins about: the start's chip exits stand for all, so that chi2 is smooth.
+
+    Where nothing of the model moves, the anchor itself will do.
+    """
+    if not images or not (paths or anchor_at):
+        return None
+    return Anchored(model, 0) if paths or anchor_at is None else anchor_at(model)
 
 
 def refitted(problem: Problem, values: Real) -> Fit:

@@ -1,0 +1,163 @@
+"""A refit with an effect that the twin cannot represent, on made-up data: a line first, then Monte Carlo about it.
+
+The made-up effect multiplies the light by 1 + (s + 8 s^2) p, p a ripple over the place: it grows faster than its
+size, as walls do, where light that was sent back comes to a wall again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from luxloop.effect import AppliedEffect
+from luxloop.model import Model
+from tests.validation.analytic import ARRAY, HALO, MODEL, PATHS, SIGMA, SINGLE, Spots, blank
+from tests.validation.diagnose.made_up import GAIN, THIRD, seen, spec
+from validation.diagnose.frozen import FrozenImages, slopes_of
+from validation.diagnose.refit import Refitted, finished, freed
+from validation.diagnose.score import Candidate, Score
+from validation.effects.known import applied, with_effect
+from validation.effects.signatures import Column, Projection
+from validation.fit import Fit, fit
+from validation.fit.problem import view_of
+from validation.measured import MeasuredImage
+from validation.prediction import Anchored, Pose, Predicted, View
+
+Real = NDArray[np.float64]
+
+RIPPLE = spec("ripple").model_copy(update={"twin": False})
+TRUTH = 0.05
+ANCHORED = 1_000_000
+H = 1e-4
+"""By which the made-up effect is moved for its column at off."""
+
+
+def strength(size: float) -> float:
+    """Of the ripple, at a size of the effect."""
+    return size + 8.0 * size**2
+
+
+def traced(model: Model, view: View, light: Real) -> Real:
+    """What Monte Carlo makes of light under the model's effect."""
+    sizes = [float(one.parameters["size"]) for one in model.effects]  # type: ignore[arg-type]  # a number here
+    ripple = AppliedEffect(name="ripple", parameters={"size": strength(*sizes) if sizes else 0.0})
+    return seen(MODEL.model_copy(update={"effects": (ripple,)}), view, light)
+
+
+class Anchors(Spots):
+    """Spots whose twin knows no effect: an image has that of the model at which Monte Carlo was run."""
+
+    def images(
+        self, model: Model, views: Sequence[View], paths: Sequence[str] = (), anchor: Anchored | None = None
+    ) -> list[Predicted]:
+        """As workers answer; ValueError for an effect without an anchor, which they refuse."""
+        if model.effects and anchor is None:
+            raise ValueError("the twin cannot represent ripple")
+        at = anchor.model if anchor is not None and anchor.histories else MODEL
+        found = []
+        for view, twin in zip(views, super().images(model, views, paths), strict=True):
+            (there,) = super().images(at, [view])
+            effect = traced(at, view, there.irradiance_per_mm2) - there.irradiance_per_mm2
+            light = twin.irradiance_per_mm2
+            one = replace(twin, irradiance_per_mm2=light + effect, twin_per_mm2=light)
+            found.append(one)
+        self.anchors.append(anchor)
+        return found
+
+
+def data() -> list[MeasuredImage]:
+    """Three images with the effect at its true size, with noise."""
+    model, random, images = with_effect(MODEL, applied(RIPPLE, {"size": TRUTH})), np.random.default_rng(4), []
+    for shot, sample in (("single", SINGLE), ("array", ARRAY), ("third", THIRD)):
+        image = blank(shot, sample, side=32)
+        view = view_of(image, Pose())
+        (light,) = Spots().images(MODEL, [view])
+        signal = GAIN * traced(model, view, light.irradiance_per_mm2) + 20.0
+        noise = np.sqrt(image.variance_dn2(signal)) * random.standard_normal(signal.shape)
+        images.append(replace(image, signal_dn=signal + noise))
+    return images
+
+
+def score_of(base: Fit) -> Score:
+    """What the effect's column at off finds in the residual of a fit without it."""
+    parts = []
+    for image in base.problem.images:
+        view = view_of(image, base.poses[image.shot.id])
+        (light,) = Spots().images(base.model, [view])
+        parts.append(traced(with_effect(MODEL, applied(RIPPLE, {"size": H})), view, light.irradiance_per_mm2))
+        parts[-1] = (parts[-1] - light.irradiance_per_mm2) / H
+    column = Projection.of(base).rows(Column("ripple", "size", {}, None, H, tuple(parts)))
+    left = column - base.basis.data @ (base.basis.data.T @ column)
+    z, length = float(left @ base.residual / np.linalg.norm(left)), float(np.linalg.norm(left))
+    candidate = Candidate(RIPPLE, RIPPLE.parameters[0], (), column[None], tuple(parts))
+    return Score(candidate, z, z / length, 1.0 / length, length / float(np.linalg.norm(column)))
+
+
+@pytest.fixture(scope="module")
+def base() -> Fit:
+    """The fit without the effect, about Monte Carlo where it stands."""
+    return fit(MODEL, data(), Anchors(), free=PATHS, anchor_at=lambda model: Anchored(model, ANCHORED, seed=7))
+
+
+@pytest.fixture(scope="module")
+def line(base: Fit) -> Refitted:
+    """The effect as a straight line from off."""
+    return freed(base, score_of(base), slopes_of(base))
+
+
+def test_first_the_effect_is_a_straight_line_from_off(line: Refitted) -> None:
+    """Monte Carlo stays where the fit without it stood; the line's size is the ripple's strength, not its own."""
+    assert line.fit is not None
+    anchor = line.fit.problem.anchor
+    assert anchor is not None
+    assert anchor.model.effects == ()
+    assert abs(line.value - strength(TRUTH)) < 4.0 * line.error
+    assert line.value - TRUTH > 20.0 * line.error
+
+
+def test_what_is_kept_is_fitted_about_monte_carlo_at_its_own_value(line: Refitted) -> None:
+    """With the slope that it has there: the size is the true one within its errors, and the anchor stands at it."""
+    predictor = Anchors()
+    found = finished(line, predictor, None)
+    assert abs(found.value - TRUTH) < 3.0 * found.error
+    assert found.error < line.error
+    assert found.fit is not None
+    assert found.fit.chi2 == pytest.approx(found.fit.freedom, rel=0.1)
+    anchor = found.fit.problem.anchor
+    assert anchor is not None
+    assert (anchor.histories, anchor.seed) == (ANCHORED, 7)
+    (effect,) = anchor.model.effects
+    assert effect.parameters["size"] == pytest.approx(found.value, abs=0.3 * found.error)
+    shifts = np.array([[one.shift_px for one in poses] for poses in (anchor.poses, found.fit.poses.values())])
+    assert np.abs(shifts[0] - shifts[1]).max() < 0.01
+    assert {at.histories for at in predictor.anchors if at is not None} == {ANCHORED}
+
+
+def test_without_monte_carlo_nothing_is_done_again(line: Refitted) -> None:
+    """Where there is no anchor, or one that only lends its exits, the line is all there is."""
+    assert line.fit is not None
+    anchor = line.fit.problem.anchor
+    assert anchor is not None
+    for other in (None, replace(anchor, histories=0)):
+        there = replace(line, fit=replace(line.fit, problem=replace(line.fit.problem, anchor=other)))
+        predictor = Anchors()
+        assert finished(there, predictor, None) is there
+        assert predictor.asked == 0
+
+
+def test_derivatives_that_are_not_given_are_asked_for() -> None:
+    """A second effect that is added to a fit whose slopes stay has its own; it was a KeyError."""
+    images = data()
+    views = [view_of(image, Pose()) for image in images]
+    given = [np.ones((view.rows, view.columns)) for view in views]
+    frozen = FrozenImages(Anchors(), {HALO: given}, frozenset())
+    found = frozen.images(MODEL, views, (HALO, SIGMA, "shift_row_px"))
+    own = Anchors().images(MODEL, views, (SIGMA, "shift_row_px"))
+    for one, of_its_own in zip(found, own, strict=True):
+        np.testing.assert_array_equal(one.jacobian_per_mm2[HALO], 1.0)
+        for path in (SIGMA, "shift_row_px"):
+            np.testing.assert_array_equal(one.jacobian_per_mm2[path], of_its_own.jacobian_per_mm2[path])
