@@ -42,7 +42,7 @@ from validation.contrasts.structure import fit_layout, fit_projection, judged
 from validation.dataset.manifest import CameraFacts, ImageShot, Sample
 from validation.dataset.simulate import DECLARED, expected_images, paper_plan, views_of
 from validation.fit import Fit, fit
-from validation.fit.image_fit import linearised
+from validation.fit.image_fit import crossed, linearised
 from validation.fit.problem import Evaluation, ImagePredictor
 from validation.fit.result import conclude
 from validation.measured import MeasuredImage
@@ -191,8 +191,8 @@ def drawn(
         here = replace(there, problem=replace(there.problem, images=tuple(images)))
         white = prepared[0] if prepared else None
         white, reduced, columns = linearised(here, white)
-        other = prepared[2] if prepared else here.other_columns(white)
-        one = conclude(here, white, reduced, columns, reduced.step(), 1, True, other)
+        other = prepared[2] if prepared else here.other_columns(white, here.others())
+        one = conclude(here, white, reduced, columns, crossed(here, white, reduced, columns, other), 1, True, other)
         if prepared is None:
             layout, projection = fit_layout(one), fit_projection(one)
             variances = Variances.of(layout, projection)

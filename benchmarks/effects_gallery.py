@@ -1,17 +1,18 @@
 """The gallery of effects: a small picture of each one's signature, and docs/effects.md with all that is said of it.
 
-    python -m benchmarks.effects_gallery [--only NAME] [--words]
+    python -m benchmarks.effects_gallery [--only NAME] [--words] [--map]
 
 The workers are asked for the catalogue and predict the example of `luxloop effects show` without and with each
 effect, by the twin, or by Monte Carlo with the same random numbers where the twin cannot represent it. `--only` draws
-one picture anew; `--words` writes the text about the pictures that are there.
+one picture anew; `--words` writes the text about the pictures that are there; `--map` only compares all effects with
+each other anew, on six images of the paper's kind and on the film (minutes).
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
@@ -29,11 +30,13 @@ from luxloop.model import Model
 from luxloop.model_file import find_model
 from luxloop.settings import load_settings
 from validation.dataset.manifest import FilmLayer, FilmSample, Sample
+from validation.effects.confusing import confusion, curve_ground, image_ground
 from validation.effects.example_set import FILM, MODULE, PEAK_SHARE
 from validation.effects.known import Known, applied, with_effect
 from validation.effects.showing import sensible, shown, values_of
 from validation.effects.signatures import Sight
 from validation.prediction import Curve, Predictor, View
+from viewer.effects import draw_confusion
 from viewer.look import BLUE, GREY, INK, ORANGE, TEXT
 
 Real = NDArray[np.float64]
@@ -44,6 +47,10 @@ DOCS = Path(__file__).parents[1] / "docs"
 PICTURES = DOCS / "images" / "effects"
 FACTS = PICTURES / "facts.json"
 """Beside the pictures: values they were drawn with, and how large the difference is."""
+LIKENESS, MAP = PICTURES / "confusion.json", PICTURES / "confusion.png"
+"""Cosines between all effects, and their picture."""
+NEAREST, TOLD = 3, 0.5
+"""How many others are named as alike, and from which cosine on."""
 DPI, COLOURS = 80, 92
 PATIENCE_S = 600.0
 WINDOW_NM = 20_000.0
@@ -63,38 +70,6 @@ STAGES = {
     "geometry": "Geometry: where things lie",
     "module": "Module: what is of several parts at once",
     "detector": "Detector: the camera, or the instrument that measures a film",
-}
-GROUPS = {
-    "shape of the lobe": (
-        "dipole_orientation", "receiver_btdf", "chip_absorption", "distance_error", "receiver_volume_scatter",
-        "camera_psf",
-    ),
-    "long tail": ("veiling_glare", "substrate_lobe", "substrate_leak", "receiver_specular"),
-    "strength of the mirror": (
-        "dbr_roughness", "dbr_index_error", "dbr_absorption", "dbr_thickness_error", "side_wall_roughness",
-    ),
-    "places": ("chip_position_errors", "magnification", "distortion"),
-    "field": ("chip_power_spread", "vignetting", "dead_chip"),
-}  # fmt: skip
-"""Effects that one distance and six images hardly tell apart."""
-NOTES = {
-    "chip_position_errors": "it contains the other two",
-    "chip_power_spread": "it contains the other two",
-    "nonlinearity": "vignetting, less closely: both darken what is bright in the middle",
-    "current_crowding": "a shift of the image, which every fit allows; little of it is left",
-    "active_layer_depth": "dbr_thickness_error, less closely",
-    "receiver_tilt": "chip_power_spread, less closely",
-    "edge_walls": "nonlinearity, less closely",
-    "film_missing_layer": "film_interlayer, and the film's own thickness where that is free",
-    "film_interlayer": "film_missing_layer, and the film's own thickness where that is free",
-}
-"""What a group does not say."""
-APART = {
-    "shape of the lobe": "an array at a smaller distance (100 um)",
-    "long tail": "an array, or a single chip with 5.5 pairs, at a smaller distance (100 um)",
-    "strength of the mirror": "an array with more pairs (9.5)",
-    "places": "an image of a grid target with the same lens; less so an array at 100 um",
-    "field": "an image of an even source (flat field) with the same lens",
 }
 
 
@@ -205,10 +180,19 @@ def _curves(arrays: Arrays) -> Figure:
     return figure
 
 
+def compare(predictor: Predictor, known: Known, model: Model, specs: Sequence[EffectSpec]) -> None:
+    """The cosines of all pairs, as numbers and as a picture."""
+    grounds = image_ground(model, predictor, known), curve_ground(model, predictor)
+    found = [confusion(one, model, specs, lambda said: print(said, flush=True)) for one in grounds]
+    document = {"model": model.name, "maps": [one.document() for one in found]}
+    LIKENESS.write_text(json.dumps(document) + "\n", encoding="utf-8")
+    draw_confusion({"model": model.name, "maps": [found[0].document()]}, {}, MAP)
+
+
 # The words
 
 
-def page(specs: tuple[EffectSpec, ...], facts: Mapping[str, Document]) -> Iterator[str]:
+def page(specs: tuple[EffectSpec, ...], facts: Mapping[str, Document], maps: Sequence[Document]) -> Iterator[str]:
     """docs/effects.md, block by block."""
     yield "# Effects"
     yield (
@@ -223,28 +207,45 @@ def page(specs: tuple[EffectSpec, ...], facts: Mapping[str, Document]) -> Iterat
         " `luxloop effects show NAME` draws it larger, with values of your choice. The rms has what is left of noise"
         " in it. This page is written by `python -m benchmarks.effects_gallery`."
     )
-    yield _alike()
+    yield from _alike(maps)
     for stage, title in STAGES.items():
         yield f"## {title}"
         for spec in specs:
             if spec.stage == stage:
-                yield from _effect(spec, facts.get(spec.name, {}))
+                yield from _effect(spec, facts.get(spec.name, {}), maps)
 
 
-def _alike() -> str:
-    rows = [f"| {name} | {', '.join(map(_link, group))} | {APART[name]} |" for name, group in GROUPS.items()]
-    return "\n".join((
-        "## Easily mistaken for each other",
-        "With one distance and six images (single chip and array, three numbers of pairs) and the calibration free,"
-        " effects of a group can hardly be told apart; a diagnosis then names the group and the measurement that"
-        " would tell. `luxloop effects confusion DATASET --page map.html` shows what your own data can tell.\n",
-        "| group | effects | told apart by |",
-        "|---|---|---|",
-        *rows,
-    ))  # fmt: skip
+def _alike(maps: Sequence[Document]) -> Iterator[str]:
+    if not maps:
+        return
+    yield "## Easily mistaken for each other"
+    yield (
+        "Cosines between what is left of two effects' signatures once gains, offsets, places and the free parameters"
+        " of model `paper` have taken what they can; 1: no such data can tell them apart. Six images (a single chip"
+        " and a 5 x 5 array, with 0, 2.5 and 5.5 pairs, one distance), and 300 nm of a polymer on silicon (R, T, psi,"
+        " delta; its thickness and index free). Boxes are groups beyond 0.9; a diagnosis names the group, and"
+        " `luxloop next` the measurement that would tell. An effect of every chip is alike with all that 25 numbers"
+        " can imitate. The noise of the walks is in the cosines: what they say near 0 is nothing, and effects that"
+        " Monte Carlo alone represents look less alike than they are. `luxloop effects confusion DATASET --page"
+        " map.html` shows what your own data can tell."
+    )
+    yield "![Cosines of all pairs of effects on six images, groups boxed](images/effects/confusion.png)"
+    for one in maps:
+        rows = [f"| {_link(name)} | {one['sigma'][name]:.3g} | {_others(one, name)} |" for name in one["names"]]
+        head = f"| effect on {one['ground']} | sigma at a third of its range | most alike (cosine) |"
+        yield "\n".join((head, "|---|---|---|", *rows))
+        if one["imitated"]:
+            yield f"Wholly imitated by calibration: {', '.join(map(_link, one['imitated']))}."
 
 
-def _effect(spec: EffectSpec, facts: Document) -> Iterator[str]:
+def _others(one: Document, name: str) -> str:
+    """The nearest others with their cosines."""
+    row = dict(zip(one["names"], one["cosines"][one["names"].index(name)], strict=True))
+    near = sorted(((cosine, other) for other, cosine in row.items() if other != name), reverse=True)[:NEAREST]
+    return ", ".join(f"{_link(other)} {cosine:.2f}" for cosine, other in near if cosine >= TOLD) or "-"
+
+
+def _effect(spec: EffectSpec, facts: Document, maps: Sequence[Document]) -> Iterator[str]:
     yield f"### {spec.name}"
     yield f"{spec.description} `{spec.formula}`"
     rows = [f"| `{one.name}` | {one.description} | {_range(one)} | {_off(one)} |" for one in spec.parameters]
@@ -252,7 +253,8 @@ def _effect(spec: EffectSpec, facts: Document) -> Iterator[str]:
     lines = [f"source: {spec.reference}", f"one value holds {_scope(spec)}; predicted by {_by(spec)}"]
     lines.append(f"keeps {' and '.join(spec.conserves)}" if spec.conserves else "may change how much light there is")
     lines += [f"not beside {', '.join(map(_link, spec.excludes))}"] if spec.excludes else []
-    lines += [f"easily mistaken for {mistaken}"] if (mistaken := _mistaken(spec.name)) else []
+    near = [_others(one, spec.name) for one in maps if spec.name in one["names"]]
+    lines += [f"most alike: {others}" for others in near if others != "-"]
     yield "\n".join(f"- {line}" for line in lines)
     if (PICTURES / f"{spec.name}.png").exists():
         yield f"![{spec.name}: difference and cut](images/effects/{spec.name}.png)"
@@ -281,12 +283,6 @@ def _by(spec: EffectSpec) -> str:
     return by + ("; it has no slope at off, so refits test it" if spec.discrete else "")
 
 
-def _mistaken(name: str) -> str:
-    others = [other for group in GROUPS.values() if name in group for other in group if other != name]
-    said = ", ".join(map(_link, others))
-    return " (".join(filter(None, (said, NOTES.get(name, "")))) + (")" if said and name in NOTES else "")
-
-
 def _link(name: str) -> str:
     return f"[{name}](#{name})"
 
@@ -312,6 +308,7 @@ def main() -> None:
     asked = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     asked.add_argument("--only", action="append", help="draw this one alone; can be given again")
     asked.add_argument("--words", action="store_true", help="draw none")
+    asked.add_argument("--map", action="store_true", help="compare all with each other; draw nothing else")
     given = asked.parse_args()
     PICTURES.mkdir(parents=True, exist_ok=True)
     facts: dict[str, Any] = json.loads(FACTS.read_text(encoding="utf-8")) if FACTS.exists() else {}
@@ -319,7 +316,9 @@ def main() -> None:
     with Client(load_settings(), patience_s=PATIENCE_S) as client:
         known, predictor = Known.ask(client), Predictor(client)
         specs = tuple(spec for spec in known.specs if spec.source_sha256 is None)
-        for spec in () if given.words else specs:
+        if given.map:
+            compare(predictor, known, model, specs)
+        for spec in () if given.words or given.map else specs:
             if given.only and spec.name not in given.only:
                 continue
             document, arrays = shown_there(predictor, known, model, spec)
@@ -329,7 +328,8 @@ def main() -> None:
             facts[spec.name] = {name: document[name] for name in kept if name in document}
             print(f"{spec.name:<26} {document['kind']:<8} {_size(document)}", flush=True)
     FACTS.write_text(json.dumps(facts, indent=1, sort_keys=True) + "\n", encoding="utf-8")
-    (DOCS / "effects.md").write_text("\n\n".join(page(specs, facts)) + "\n", encoding="utf-8")
+    maps = json.loads(LIKENESS.read_text(encoding="utf-8"))["maps"] if LIKENESS.exists() else []
+    (DOCS / "effects.md").write_text("\n\n".join(page(specs, facts, maps)) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -6,7 +6,7 @@ About an anchor the columns are the twin's (`problem`), so what is solved is col
 is not where chi2 is least. A step is therefore good that lowers chi2, or what the columns still find in the residual:
 the square of its projection on them, which the linear model expects to gain. It has converged where that is less than
 0.1 and no pose would move by 0.001 px; that last step is taken on the linear model, whose own error is of the next
-order.
+order. About an anchor with noise the last steps are others (`_settled`).
 """
 
 from __future__ import annotations
@@ -32,8 +32,9 @@ Real = NDArray[np.float64]
 AnchorAt = Callable[[Model], Anchored | None]
 
 GAP = 0.1  # chi2
-NOISY_GAP = 1.0  # chi2: what derivatives with noise of their own may still promise where nothing is gained
+NOISY_GAP = 1.0  # chi2: what derivatives with noise of their own may still promise
 STALLS = 2  # steps in a row that gain nothing
+SETTLED, SETTLING = 0.1, 8  # of an error that the last step about a noisy anchor may be long; most steps
 POSE_PX = 1e-3
 MAX_ITERATIONS = 40
 MAX_DAMPING = 1e6
@@ -130,13 +131,15 @@ def _unclipped(problem: Problem, values: Real, done: int = 0) -> Fit:
 
 def _descend(problem: Problem, values: Real, done: int = 0) -> Fit:
     """Iterates from `values` to the optimum, or as far as it goes."""
+    noisy = problem.anchor is not None and problem.anchor.histories > 0
     evaluation, damping, stalled = problem.evaluate(values), 0.0, 0
     for iteration in range(done, done + MAX_ITERATIONS):
         white, reduced, columns = linearised(evaluation)
         last = reduced.step()
+        if noisy and reduced.chi2 - last.chi2 < NOISY_GAP:
+            return _settled(evaluation, iteration)
         if has_converged(problem, reduced, last):
-            other = evaluation.other_columns(white)
-            return conclude(evaluation, white, reduced, columns, last, iteration, True, other)
+            return conclude(evaluation, white, reduced, columns, last, iteration, True)
         stepped, damping, gained = _step_down(evaluation, white, reduced, columns, damping)
         if stepped is None:  # no step is good: the prediction and its derivatives disagree
             break
@@ -144,11 +147,42 @@ def _descend(problem: Problem, values: Real, done: int = 0) -> Fit:
         stalled = stalled + 1 if gained < GAP else 0
         if stalled == STALLS:  # derivatives have noise of their own: what they still promise is theirs
             break
+    if noisy:
+        return _settled(evaluation, iteration + 1)
     white, reduced, columns = linearised(evaluation)
     last = reduced.step()
     near = reduced.chi2 - last.chi2 < NOISY_GAP
-    other = evaluation.other_columns(white)
-    return conclude(evaluation, white, reduced, columns, last, iteration + 1, near, other)
+    return conclude(evaluation, white, reduced, columns, last, iteration + 1, near)
+
+
+def _settled(evaluation: Evaluation, iteration: int) -> Fit:
+    """The solution about an anchor with noise, from near it: columns' residual + priors = 0.
+
+    Its steps are by the product of columns with columns of another walk. Steps by their own product fall short along
+    what the data hardly know, for there most of a column is noise, and end up to an error from the solution.
+    """
+    problem, others = evaluation.problem, evaluation.others()
+    for turn in range(SETTLING):
+        white, reduced, columns = linearised(evaluation)
+        other = evaluation.other_columns(white, others)
+        step = crossed(evaluation, white, reduced, columns, other)
+        error = np.sqrt(np.diag(reduced.covariance_of(columns, other, 1.0, ~step.at_limit & ~reduced.blind)))
+        seen = np.isfinite(error) & (error > 0.0)
+        near = bool(np.all(np.abs(step.change[seen]) < SETTLED * error[seen]))
+        if near or turn == SETTLING - 1:
+            return conclude(evaluation, white, reduced, columns, step, iteration + turn, near, other)
+        evaluation = problem.evaluate(problem.unknowns.within(evaluation.values + step.change))
+    raise AssertionError("a last turn returns")
+
+
+def crossed(evaluation: Evaluation, white: Whitening, reduced: Reduced, columns: Real, other: Real) -> Step:
+    """The step by the product of columns with others whose noise is independent; what is at a limit stays there."""
+    held = reduced.step().at_limit
+    longest = np.array([one.longest_step for one in reduced.parameters])
+    change = reduced.crossed_step(columns, other, evaluation.residual(white), ~held & ~reduced.blind)
+    change = evaluation.problem.unknowns.within(evaluation.values + np.clip(change, -longest, longest))
+    change -= evaluation.values
+    return Step(change, reduced.chi2_after(change), held)
 
 
 def linearised(evaluation: Evaluation, white: Whitening | None = None) -> tuple[Whitening, Reduced, Real]:

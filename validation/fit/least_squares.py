@@ -119,6 +119,21 @@ class Reduced:
         full[self.blind, self.blind] = np.inf
         return full
 
+    def crossed_step(self, columns: Real, other: Real, residual: Real, active: Mask) -> Real:
+        """The change that solves columns' residual + priors = 0, by columns whose noise is independent of theirs.
+
+        In columns' own product the square of their noise stands beside the signal's, and a step by it falls short.
+        """
+        keep = active & ~self.blind
+        length = self.length[keep]
+        a, b = (some[keep] / length[:, None] for some in (columns, other))
+        weight = self._prior_scaled[keep]
+        pull = np.array([p.prior_mean for p in self.parameters]) - self.values
+        target = a @ residual + weight * (self.prior_weight * pull)[keep]
+        change = np.zeros(len(keep))
+        change[keep] = np.linalg.pinv(a @ b.T + np.diag(weight**2)) @ target / length
+        return change
+
     def condition(self, active: Mask) -> float:
         """Condition of the scaled columns and priors: large where two parameters are the same to the data."""
         matrix, _ = self._rows(active & ~self.blind, 0.0)

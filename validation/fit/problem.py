@@ -154,18 +154,17 @@ class Evaluation:
         ]
         return np.concatenate(blocks, axis=1)
 
-    def other_columns(self, white: Whitening) -> Real | None:
-        """The columns once more, with noise of their own that is independent; None where no anchor has any noise.
-
-        Gains by the anchored image, parameters of the model by the exits of another walk inside the chips.
-        """
-        anchor = self.problem.anchor
-        if anchor is None or not anchor.histories:
-            return None
+    def others(self) -> list[Predicted]:
+        """The derivatives by the model's parameters once more, by the exits of another walk inside the chips."""
+        anchor, paths = self.problem.anchor, self.problem.unknowns.model_paths
+        if anchor is None or not paths:
+            return self.predicted
         views = self.problem.views(self.model, self.by_name)
         asked = replace(anchor, histories=0, exit_seed=anchor.exit_seed + 1)
-        paths = self.problem.unknowns.model_paths
-        others = self.problem.predictor.images(self.model, views, paths, asked) if paths else self.predicted
+        return self.problem.predictor.images(self.model, views, paths, asked)
+
+    def other_columns(self, white: Whitening, others: Sequence[Predicted]) -> Real:
+        """The columns once more, with noise of their own that is independent: gains by the anchored image."""
         predicted = [
             replace(one, twin_per_mm2=None, jacobian_per_mm2=one.jacobian_per_mm2 | other.jacobian_per_mm2)
             for one, other in zip(self.predicted, others, strict=True)
