@@ -225,9 +225,10 @@ def _alike(maps: Sequence[Document]) -> Iterator[str]:
         " and a 5 x 5 array, with 0, 2.5 and 5.5 pairs, one distance), and 300 nm of a polymer on silicon (R, T, psi,"
         " delta; its thickness and index free). Boxes are groups beyond 0.9; a diagnosis names the group, and"
         " `luxloop next` the measurement that would tell. An effect of every chip is alike with all that 25 numbers"
-        " can imitate. The noise of the walks is in the cosines: what they say near 0 is nothing, and effects that"
-        " Monte Carlo alone represents look less alike than they are. `luxloop effects confusion DATASET --page"
-        " map.html` shows what your own data can tell."
+        " can imitate. The noise of the walks is in it: effects whose chips must be walked anew (dbr_absorption,"
+        " side_wall_roughness, current_crowding, electrode_shadow) stand out by more, and are alike with less, than"
+        " they are, and so do those that Monte Carlo alone represents (edge_walls, receiver_tilt). `luxloop effects"
+        " confusion DATASET --page map.html` shows what your own data can tell."
     )
     yield "![Cosines of all pairs of effects on six images, groups boxed](images/effects/confusion.png)"
     for one in maps:

@@ -127,3 +127,26 @@ def test_the_same_column_twice_is_taken_once():
     reduced = reduce(columns, residual, (Parameter("a"), Parameter("b"), Parameter("c")), np.zeros(3))
     assert basis(columns, reduced, np.ones(3, dtype=bool)).taken == pytest.approx(2.0)
     assert reduced.condition(np.ones(3, dtype=bool)) > 1e8
+
+
+def test_a_step_by_two_walks_goes_all_the_way_where_columns_are_noisy():
+    """Half of a column is noise: its own product steps half of the way, the product with another column all of it."""
+    parameters = (Parameter("a"), Parameter("b", prior_mean=0.0, prior_sd=1e9))
+    random, rows = np.random.default_rng(2), 4000
+    signal = np.array([random.standard_normal(rows), random.standard_normal(rows)])
+    columns, other = (signal + np.array([[1.0], [0.0]]) * random.standard_normal((2, rows)) for _ in range(2))
+    residual = np.array([3.0, -2.0]) @ signal
+    reduced = reduce(columns, residual, parameters, np.zeros(2))
+    assert reduced.step().change[0] == pytest.approx(1.5, rel=0.06)
+    whole = reduced.crossed_step(columns, other, residual, np.array([True, True]))
+    np.testing.assert_allclose(whole, [3.0, -2.0], rtol=0.08)
+    held = reduced.crossed_step(columns, other, residual, np.array([True, False]))
+    assert held[1] == 0.0
+
+
+def test_a_step_by_two_walks_is_the_step_where_they_are_the_same():
+    """Without noise, priors included."""
+    columns, residual, parameters = _problem()
+    reduced = reduce(columns, residual, parameters, np.array([0.3, 0.2, 0.1]))
+    whole = reduced.crossed_step(columns, columns, residual, np.array([True, True, True]))
+    np.testing.assert_allclose(whole, reduced.step().change, rtol=1e-9)

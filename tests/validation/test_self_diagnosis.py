@@ -13,6 +13,7 @@ from luxloop.effect import EffectParameter, EffectSpec
 from luxloop.model_file import find_model
 from luxloop.settings import Settings
 from tests.running_set import RunningSet
+from validation.effects import example_set
 from validation.effects.confounding import Confounding
 from validation.effects.confusing import image_ground
 from validation.effects.known import Known
@@ -72,8 +73,10 @@ def test_the_name_or_its_group_is_demanded_at_20_sigma(named: tuple[str, ...], s
 
 
 @pytest.mark.slow
-def test_an_effect_of_the_catalogue_finds_itself(settings: Settings) -> None:
-    """Vignetting at 20 sigma among three effects, by real workers."""
+def test_an_effect_of_the_catalogue_finds_itself(settings: Settings, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Vignetting at 20 sigma among three effects, by real workers, in two of the six example images."""
+    two = [one for one in example_set.samples() if one.id in ("single-0", "array-2.5")]
+    monkeypatch.setattr(example_set, "samples", lambda: two)
     running = RunningSet(settings)
     try:
         running.add("-m", "luxloop", "serve", "thin-film")
