@@ -49,6 +49,17 @@ def test_columns_have_the_variance_of_the_noise() -> None:
     assert abs(np.mean(found / truth) - 1.0) < 0.1
 
 
+def test_the_strength_from_the_centre_outwards_is_that_of_the_groups() -> None:
+    """Noise twice as strong at the centre and half at the edge, beside what the light says: told as it is."""
+    of = basis()
+    deviations, _ = drawn(of, 32, 9)
+    x_um, y_um = places()
+    stronger = np.sqrt(2.0 - 1.5 * (x_um**2 + y_um**2) / (2.0 * 480.0**2))
+    plain, found = (noise_columns(one / np.sqrt(32), of, of) for one in (deviations, stronger * deviations))
+    ratio = (found**2).sum(axis=0) / (plain**2).sum(axis=0)
+    np.testing.assert_allclose(ratio, stronger**2, rtol=0.25)
+
+
 def test_more_ways_to_err_than_groups_are_all_covered() -> None:
     """Products of the groups alone would leave most of a fresh draw's energy out; the columns cover it."""
     of = basis()

@@ -5,7 +5,8 @@
 A field of a module is made of waves up to 14 / (D - T), folded by the module's symmetries, so there are more ways
 for it to err than there are groups of histories (32): their products alone would call most of the noise a signal. In
 these functions, made orthogonal under the weight of counted light, noise is uncorrelated; its spectrum the groups
-tell: low waves have less of it, for places of emission and directions are drawn evenly (Sobol).
+tell: low waves have less of it, for places of emission and directions are drawn evenly (Sobol). How its strength
+changes from the module's centre outwards is more than the light's root says; that, too, the groups tell.
 """
 
 from __future__ import annotations
@@ -26,6 +27,10 @@ NEIGHBOURS = 4
 """On either side of a function, in the order of wave numbers, whose variance is taken to be alike."""
 ALIKE = 1e-3
 """A function of which less is left beside wider waves says nothing of its own at these pixels."""
+POWERS = (0, 1, 2)
+"""Of the square of the distance from the centre, by which the strength of noise changes beside the light's root."""
+STRENGTH = (0.25, 4.0)
+"""At least and at most, of what the functions alone say."""
 FAINT = 1e-3
 """Of the brightest pixel: where less arrives, noise is taken as there."""
 
@@ -36,12 +41,14 @@ class NoiseBasis:
 
     functions : (function, pixel). factor : (function, function), lower triangle of the weighed normal matrix.
     weight : (pixel,). told : their numbers among all.
+    outwards : (term, pixel), powers of the distance from the module's centre.
     """
 
     functions: Real
     factor: Real
     weight: Real
     told: NDArray[np.intp]
+    outwards: Real
 
     @classmethod
     def at(
@@ -74,7 +81,8 @@ class NoiseBasis:
         else:
             told = like.told
         functions = functions[told]
-        return cls(functions * np.sqrt(variance), _triangle(functions).T, 1.0 / variance, told)
+        outwards = np.array([((x_um**2 + y_um**2).ravel() / reach_um**2) ** power for power in POWERS])
+        return cls(functions * np.sqrt(variance), _triangle(functions).T, 1.0 / variance, told, outwards)
 
     def amplitudes(self, images: Real) -> Real:
         """Of images (..., row, column): (..., function) in the orthogonal functions."""
@@ -100,8 +108,21 @@ def noise_columns(deviations: Real, basis: NoiseBasis, first: NoiseBasis) -> Rea
     own = (first.amplitudes(deviations) ** 2).sum(axis=0)
     near = np.abs(np.subtract.outer(np.arange(own.size), np.arange(own.size))) <= NEIGHBOURS
     scale = np.sqrt(near @ own / near.sum(axis=1))
-    transfer = np.linalg.solve(first.factor, basis.functions)
-    return np.asarray((scale[:, None] * transfer).reshape(-1, *deviations.shape[1:]))
+    in_first, wanted = (scale[:, None] * np.linalg.solve(first.factor, one.functions) for one in (first, basis))
+    strength = _strength(deviations.reshape(len(deviations), -1), in_first, first.outwards)
+    return np.asarray(
+        (wanted * np.sqrt(np.clip(strength @ basis.outwards, *STRENGTH))).reshape(-1, *deviations.shape[1:])
+    )
+
+
+def _strength(deviations: Real, columns: Real, outwards: Real) -> Real:
+    """(term,): how many times the told variance that of the groups is, from the centre outwards.
+
+    deviations (group, pixel), columns (function, pixel), outwards (term, pixel).
+    """
+    seen, told = (deviations**2).sum(axis=0), np.maximum((columns**2).sum(axis=0), 1e-300)
+    found = np.linalg.lstsq(outwards.T, seen / told, rcond=None)[0]
+    return np.asarray(found)
 
 
 def _functions(x_um: Real, y_um: Real, period_um: float, height_um: float, symmetric: bool) -> Real:
