@@ -130,10 +130,11 @@ class Diagnosing:
 
     def diagnosed(self) -> Diagnosis:
         """The verdict."""
+        effects = self.effects  # a misspelt name is said before anything is traced
         self.progress(0.0, "the fit without more effects")
         ground = self.ground(self.fitted(self.model))
         means = Means(self.signatures, self.ground, self.next_image, self.progress)
-        return diagnosed(ground, self.effects, means, seed=self.solver.seed)
+        return diagnosed(ground, effects, means, seed=self.solver.seed)
 
     def spec(self, name: str) -> EffectSpec:
         """An effect by name; InputError with what is near, or why these data cannot show it."""

@@ -69,6 +69,7 @@ def show(
 ) -> None:
     """Show an effect: formula, source, parameters, and a picture of what it does to the example module."""
     from luxloop.model_file import find_model
+    from validation.effects.known import applied, stanza
     from validation.effects.showing import shown, values_of
     from validation.effects.told import card
 
@@ -77,6 +78,7 @@ def show(
     with _asked(effects, router, no_local, not (quiet or as_json), f"predicting {name}") as at:
         spec = at.known.spec(name)
         document, arrays = shown(at.predictor, at.known, find_model(model), spec, values_of(spec, value or []))
+    document["stanza"] = stanza(applied(spec, document["values"]))
     if arrays:
         draw(document, arrays, page)
         document["picture"] = str(page)
@@ -143,7 +145,7 @@ def check(
 def confusion(
     dataset: Annotated[Path | None, typer.Argument(metavar="[DATASET]", help="Default: six example images.")] = None,
     page: Annotated[Path | None, typer.Option("--page", help="The map as a page or a picture: .html, .png.")] = None,
-    only: Annotated[list[str] | None, typer.Option("--only", help="These effects alone; can be given again.")] = None,
+    only: Annotated[list[str] | None, typer.Option("--only", help="These effects alone, with commas.")] = None,
     model: ModelName = "paper",
     effects: Folder = None,
     no_local: NoLocal = False,
@@ -163,7 +165,8 @@ def confusion(
     chosen = find_model(model)
     images = None if dataset is None else Observed.of(read_dataset(dataset)).images
     with _asked(effects, router, no_local, not (quiet or as_json), "predicting") as at:
-        specs = [at.known.spec(one) for one in only] if only else list(at.known.specs)
+        names = [name.strip() for one in only or () for name in one.split(",") if name.strip()]
+        specs = [at.known.spec(one) for one in names] if names else list(at.known.specs)
         found = [confused(image_ground(chosen, at.predictor, at.known, images), chosen, specs, at.say)]
         if dataset is None:
             found.append(confused(curve_ground(chosen, at.predictor), chosen, specs, at.say))

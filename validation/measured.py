@@ -212,6 +212,10 @@ def _measured(
     if not used.any():
         value = f"{np.count_nonzero(saturated)} of {raw.size} pixels saturated, the others masked"
         raise InputError(f"{shot.file}: values", value, "a pixel to compare", "a shorter exposure, or another mask")
+    if np.ptp(signal[used]) == 0.0:
+        raise InputError(
+            f"{shot.file}: values", f"{raw.flat[0]:g} DN everywhere", "an image", "a constant one shows nothing"
+        )
     black = camera.black_level_dn * correction.inverse_mean if correction.dark_dn is None else correction.dark_dn
     bin_and_frames = factor**2 * shot.frames_averaged
     of_image = camera.dark_variance_dn2 / bin_and_frames

@@ -74,6 +74,8 @@ def subject_of(file: str, dataset: Path | None) -> Subject:
     """
     path = Path(file)
     if file not in SHIPPED and not path.exists() and dataset is not None:
+        if not path.absolute().parent.is_dir():
+            raise InputError("--model", file, "a file in a folder that exists", f"make {path.parent} first")
         begun = find_model(MODEL_START).model_copy(update={"name": path.stem})
         save(path, begun, f"begun from {MODEL_START}")
         sys.stderr.write(f"luxloop: {file} did not exist: begun from the model {MODEL_START!r}\n")

@@ -59,8 +59,8 @@ def page_of(document: Document, arrays: Arrays) -> str:
 
 
 def worst_shot(document: Document, arrays: Arrays) -> Figure:
-    """The picture of the shot that is furthest from the model, by z."""
-    shot = max(document["shots"], key=lambda one: abs(one.get("z") or 0.0))
+    """The picture of the shot that is furthest from the model, by its p and then by chi2."""
+    shot = max(document["shots"], key=lambda one: (abs(one.get("z") or 0.0), one.get("chi2_per_pixel") or 0.0))
     title = f"{document['sentence']}. Furthest: {shot['id']}, structure p {probability(shot)}"
     if shot["kind"] == "image":
         return images.worst(images.image_of(shot, arrays), title)
@@ -87,7 +87,8 @@ def _head(document: Document) -> Iterator[str]:
         ))  # fmt: skip
     chance = f"structure p: how often noise alone gives as much, of {structure['draws']:,} simulated repeats"
     rows.append((probability(structure), chance))
-    rows.append((f"{structure['z']:.1f} sigma", f"strongest: {structure['region']}, {structure['shot']}"))
+    if found := document.get("regions"):
+        rows.append((f"{number(found[0]['z'])} sigma", f"strongest: {found[0]['region']}, {found[0]['shot']}"))
     rows.append((f"{sum(shot['pixels'] for shot in shots):,}", f"points compared, in {len(shots)} shots"))
     yield html.highlights(rows)
     if not document["trusted"]:

@@ -29,12 +29,17 @@ WRITTEN = 0.3
 
 
 def draw(document: Document, arrays: Arrays, path: Path) -> None:
-    """Draw what an effect does into a picture (.png, .svg, .pdf)."""
+    """Draw what an effect does into a picture (.png, .svg, .pdf), or into a page (.html)."""
     with rc_context(TEXT):
         figure = _images(document, arrays) if document["kind"] == "image" else _curves(arrays)
         values = ", ".join(f"{name} {_short(value)}" for name, value in document["values"].items())
         figure.suptitle(f"{document['effect']}: {values}\n{document['formula']}", fontsize=10, x=0.01, ha="left")
-        save(figure, path)
+        if path.suffix.lower() in (".html", ".htm"):
+            title, said = f"What {document['effect']} does", f"{values}; {document['formula']}"
+            body = [html.heading(title), html.figure(svg(figure), said, said)]
+            path.write_text(html.page(title, body), encoding="utf-8", newline="\n")
+        else:
+            save(figure, path)
 
 
 def _short(value: Any) -> str:

@@ -202,12 +202,19 @@ def test_numbers_that_are_not_finite_matter_only_where_they_are_used(folder: Pat
         images(folder)
 
 
+def test_a_constant_image_is_refused(folder: Path) -> None:
+    """It fits any model: gain 0 and its level as the offset."""
+    put(folder, "images/single.tif", np.full((PIXELS, PIXELS), 1000, np.uint16))
+    with pytest.raises(InputError, match=r"1000 DN everywhere.*a constant one shows nothing"):
+        images(folder)
+
+
 @pytest.mark.parametrize(
     ("name", "size"), [("dark/dark.tif", 95), ("flat/flat.tif", 95), ("masks/mask.tif", 90), ("images/array.tif", 90)]
 )
 def test_sizes_that_differ_are_refused(folder: Path, name: str, size: int) -> None:
     """By the name of a file, with both sizes."""
-    put(folder, name, np.full((size, size), 7, np.uint16))
+    put(folder, name, np.full((size, size), 7, np.uint16) + np.eye(size, dtype=np.uint16))
     with pytest.raises(InputError, match=re.compile("size: got .* x .* pixels.*allowed", re.DOTALL)):
         images(folder)
 

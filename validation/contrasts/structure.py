@@ -169,7 +169,7 @@ def _doubts(moved: dict[str, float]) -> tuple[str, ...]:
     if worst is None or moved[worst] <= MOST_MOVED:
         return ()
     sentence = f"the twin's own error may move {worst} by {moved[worst]:.2g} of their spread, above {MOST_MOVED:g}"
-    return (f"{sentence}: the fit is far from its anchor; start nearer",)
+    return (f"{sentence}: the fit is far from its anchor; calibrate first",)
 
 
 def _families(layout: Layout, energies: Real, drawn: Null) -> tuple[FamilyFound, ...]:

@@ -34,13 +34,15 @@ from validation.diagnose.verdict import (
     nothing_visible,
 )
 from validation.effects.confounding import Confounding, confounding, left_beside
-from validation.fit import Fit
+from validation.fit import NOT_CONVERGED, Fit
 from validation.fit.whitening import variance_scale
 
 Real = NDArray[np.float64]
 
 SHORT_LIST = 5
 MOST_STEPS = 3
+LITTLE = 0.02
+"""Of chi2, that a fit without a missing effect may leave to be gained."""
 
 
 @dataclass(frozen=True)
@@ -90,8 +92,8 @@ class Diagnosis:
     def verdict(self) -> Verdict:
         """Of the first round; a second effect that was found besides is told after it."""
         first = self.steps[0].verdict
-        if self.added and self.added[-1].distrust:
-            return doubted(self.added[-1])
+        if len(self.added) == 1 and self.added[0].distrust:
+            return doubted(self.added[0])
         if len(self.added) < 2:
             return first
         further = ", ".join(f"{one.name} ({one.size})" for one in self.added[1:])
@@ -115,11 +117,16 @@ def diagnosed(
         kept = step.kept
         if kept is None or kept.fit is None or step.best.p_left >= level / 2.0:
             break
-        problem = ground.fit.problem
-        ground = means.ground_of(finished(kept, problem.predictor, problem.predict_curves).fit or kept.fit)
-    if len(steps) > 1 and steps[-1].verdict.word in ("nothing_visible", "none_of_the_known", "fit_not_trustworthy"):
-        steps.pop()  # what the last one kept is all that can be named
-    return Diagnosis(tuple(steps), len(effects))
+        ground = means.ground_of(kept.fit)
+    return Diagnosis(tuple(trusted(steps)), len(effects))
+
+
+def trusted(steps: Sequence[Step]) -> list[Step]:
+    """The rounds without the last ones that name nothing, or nothing to be trusted: the ones before stand."""
+    found = list(steps)
+    while len(found) > 1 and (found[-1].kept is None or found[-1].best.distrust):
+        found.pop()
+    return found
 
 
 def _step(ground: Ground, effects: Sequence[EffectSpec], means: Means, seed: int, level: float) -> Step:
@@ -140,6 +147,14 @@ def _step(ground: Ground, effects: Sequence[EffectSpec], means: Means, seed: int
         means.progress(0.2 + 0.7 * number / len(short), f"adding {one.name}")
         refits.append(refit(fit, one.best, slopes))
         explanations.append(_explanation(ground, one, refits[-1], best, [other.name for other in short]))
+    likely = max(
+        (k for k, one in enumerate(explanations) if one.plausible), key=lambda k: explanations[k].drop, default=None
+    )
+    if likely is not None:  # what will be named is fitted to its end, with derivatives of its own
+        means.progress(0.9, f"fitting {short[likely].name}")
+        refits[likely] = finished(refits[likely], fit.problem.predictor, fit.problem.predict_curves)
+        rivals = [other.name for other in short]
+        explanations[likely] = _explanation(ground, short[likely], refits[likely], best, rivals)
 
     def next_image(names: Sequence[str]) -> str:
         by_name = {one.candidate.effect.name: one for one in refits}
@@ -150,8 +165,13 @@ def _step(ground: Ground, effects: Sequence[EffectSpec], means: Means, seed: int
 
 
 def beyond_limits(fit: Fit) -> list[str]:
-    """Why a fit may not be trusted, but for parameters at their limits: a missing effect drives them there."""
-    return [reason for reason in fit.distrust if not any(reason.startswith(f"{name} is at") for name in fit.at_limit)]
+    """Why a fit may not be trusted, but for what a missing effect does to it.
+
+    It drives parameters to their limits, and leaves a bent valley in which the last steps gain little.
+    """
+    excused = tuple(f"{name} is at" for name in fit.at_limit)
+    excused += (NOT_CONVERGED,) if fit.gap < LITTLE * fit.chi2 else ()
+    return [reason for reason in fit.distrust if not reason.startswith(excused)] if excused else [*fit.distrust]
 
 
 def short_list(scored: Scores, alike: Confounding) -> list[EffectScore]:

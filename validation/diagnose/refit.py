@@ -151,7 +151,7 @@ def finished(found: Refitted, predictor: ImagePredictor, curves: CurvePredictor 
     if not spec.twin:
         return _at_its_value(found, fit, predictor)
     problem = replace(fit.problem, predictor=predictor, predict_curves=curves)
-    own = refitted(problem, fit.values)
+    own = _best_word(found, refitted(problem, fit.values))
     shapes = [one for one in spec.parameters if one.off is None and not one.choices and one.shape_grid]
     if shapes and not found.candidate.is_switch:
         limits = {path_of(spec.name, one.name): limits_of(one) for one in shapes}
@@ -162,6 +162,21 @@ def finished(found: Refitted, predictor: ImagePredictor, curves: CurvePredictor 
         if better.converged and not any(path in better.at_limit for path in limits):
             own = better
     return _with(found, own)
+
+
+def _best_word(found: Refitted, own: Fit) -> Fit:
+    """The fit with the words of the effect's shape (a law, a profile) that leave the least chi2."""
+    spec = found.candidate.effect
+    best = own
+    for one in [one for one in spec.parameters if one.off is None and one.choices and not found.candidate.is_switch]:
+        for word in one.choices:
+            values = next(effect.parameters for effect in best.model.effects if effect.name == spec.name)
+            if word == values[one.name]:
+                continue
+            model = with_effect(best.problem.model, applied(spec, dict(values) | {one.name: word}))
+            other = _moved(best, model, best.problem.unknowns.model_paths, best.problem.unknowns.named(best.values))
+            best = other if _chi2(other) < _chi2(best) else best
+    return best
 
 
 def _at_its_value(found: Refitted, fit: Fit, predictor: ImagePredictor) -> Refitted:

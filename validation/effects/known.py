@@ -86,7 +86,7 @@ def typical(spec: EffectSpec, chips: int = 0) -> dict[str, Value]:
             value = next(choice for choice in one.choices if choice != one.off)
         elif one.off is not None:
             off, end = float(one.off), far_end(one)
-            value = off + THIRD * (end - off)
+            value = float(f"{off + THIRD * (end - off):.12g}")
             if one.per_chip:
                 value = tuple(value if chip % 2 == 0 else off - (value - off) for chip in range(chips))
         values[one.name] = value

@@ -44,6 +44,7 @@ def card(spec: EffectSpec, document: Document) -> Iterator[str]:
         rms, most = document["rms_percent"], document["largest_percent"]
         yield f"{'does':<11}{rms:.2g} % rms, {most:.2g} % at most, of the mean"
     yield f"{'picture':<11}{document['picture']}, with {values}"
+    yield f"\nInto a model file, with values of your own:\n{document['stanza']}"
 
 
 def _off_of(one: EffectParameter) -> str:

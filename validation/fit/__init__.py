@@ -5,9 +5,10 @@ from validation.fit.image_fit import fit, refitted
 from validation.fit.least_squares import Parameter, prior_chi2
 from validation.fit.parameters import CurveData, Discrepancy, unknowns_of
 from validation.fit.profile import Profile, profile
-from validation.fit.result import Fit
+from validation.fit.result import NOT_CONVERGED, Fit
 
 __all__ = [
+    "NOT_CONVERGED",
     "CurveData",
     "CurvesOf",
     "Discrepancy",

@@ -21,6 +21,8 @@ Real = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 MOST_MODEL_NOISE = 2.0  # rms, of the camera's: up to there errors and chi2 were found right (decision 27)
+NOT_CONVERGED = "the fit has not converged"
+UNMENDED = "free less, or look for what the model lacks (luxloop where, luxloop diagnose)"
 WANTED_NOISE = 0.3  # a tenth of the camera's variance: it then hardly adds to errors
 
 
@@ -202,7 +204,7 @@ def _reasons(
         low, high = known[name].lower, known[name].upper
         reasons.append(f"{name} is at its limit ({low:g} to {high:g}); widen the limits or add what is missing")
     if not converged:
-        reasons.append(f"the fit has not converged: {gap:.3g} of chi2 is still to be gained; start nearer")
+        reasons.append(f"{NOT_CONVERGED}: {gap:.3g} of chi2 is still to be gained; {UNMENDED}")
     for name, blind in zip(problem.unknowns.names, reduced.blind, strict=True):
         if blind:
             reasons.append(f"nothing measured depends on {name}; fix it or give it a prior")

