@@ -196,9 +196,11 @@ def page(specs: tuple[EffectSpec, ...], facts: Mapping[str, Document], maps: Seq
     """docs/effects.md, block by block."""
     yield "# Effects"
     yield (
-        f"The {len(specs)} effects of the catalogue, in the order in which they act. Each is a file of"
+        f"The {len(specs)} effects of the catalogue, by stage: stages act in the order of this page, effects of one"
+        " stage in that of the model file, but for a few that must come first or last in theirs (dispersion first;"
+        " mixing of a film's layers, the sensor's nonlinearity and saturation last). Each is a file of"
         " [containers/effects](../containers/effects), acts on what its stage may change and on nothing else, and at"
-        " its off value gives back the very same model. How well each is predicted stands in"
+        " its off value, where it has one, gives back the very same model. How well each is predicted stands in"
         " [figures](figures.md#effects); `luxloop effects new NAME --stage STAGE` writes one of your own."
     )
     yield (

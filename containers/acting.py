@@ -45,7 +45,7 @@ class Effects:
     all: tuple[Effect, ...] = ()
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "all", tuple(sorted(self.all, key=lambda one: STAGES.index(one.stage))))
+        object.__setattr__(self, "all", tuple(sorted(self.all, key=lambda one: (STAGES.index(one.stage), one.rank))))
 
     @property
     def for_twin(self) -> Effects:

@@ -82,6 +82,8 @@ class Effect(Words):
     conserves: ClassVar[tuple[Literal["energy", "reciprocity"], ...]] = ()
     excludes: ClassVar[tuple[str, ...]] = ()
     """Effects that say the same in another way: a model has one of them."""
+    rank: ClassVar[int] = 0
+    """Within its stage: lower ones act first, equal ones in the order of the model."""
 
     @classmethod
     def spec(cls) -> EffectSpec:

@@ -16,6 +16,7 @@ class DbrDispersion(StackEffect):
     """
 
     name = "dbr_dispersion"
+    rank = -1  # before what changes the indices that it sets
     of = ("dbr",)
     formula = "n(lambda) of GaN and AlN in the layers"
     reference = (

@@ -16,6 +16,7 @@ class FilmDispersion(StackEffect):
     """The film's index rises more towards short wavelengths than it was said to; at 550 nm it stays."""
 
     name = "film_dispersion"
+    rank = -1  # before what adds to its indices
     of = ("film",)
     formula = "n -> n + s (1/l^2 - 1/l0^2) / (1/l1^2 - 1/l2^2), l0 = 550, l1 = 400, l2 = 800 nm"
     reference = "Cauchy's formula; polymers and oxides: n(400) - n(800) of 0.01 to 0.05"

@@ -15,6 +15,7 @@ class FilmInterlayer(StackEffect):
     """A layer of film and neighbour, half and half, lies at a face of the film: roughness as ellipsometry has it."""
 
     name = "film_interlayer"
+    rank = 1  # it mixes layers as all others have left them
     of = ("film",)
     formula = "a layer of Bruggeman's mixture of both neighbours, half its thickness taken from each"
     reference = "Bruggeman, Ann. Phys. 416, 636 (1935); Aspnes, Theeten, Hottier, Phys. Rev. B 20, 3292 (1979)"

@@ -10,6 +10,7 @@ class Nonlinearity(DetectorEffect):
     """The signal falls behind the light as it grows, or runs ahead of it."""
 
     name = "nonlinearity"
+    rank = 1  # of all light that arrives
     formula = "y -> y (1 - b y / ymax), ymax the full scale"
     reference = "EMVA 1288 release 4.0, linearity error"
 

@@ -12,6 +12,7 @@ class Saturation(DetectorEffect):
     """Bright pixels saturate softly, from a knee below full scale on."""
 
     name = "saturation"
+    rank = 2  # the last of the sensor
     formula = "above k ymax: y -> ymax (k + (1 - k) tanh((y/ymax - k)/(1 - k)))"
     reference = "EMVA 1288 release 4.0, saturation; the soft knee is engineering judgement"
 

@@ -21,7 +21,7 @@ class SideWallRoughness(SceneEffect):
 
     slope: float = parameter(
         "root mean square of the facets' slope (below an air gap the chip's bottom has it too)",
-        unit="", lower=0.0, upper=0.5, off=0.0, score="square", one_sided=True,
+        unit="", lower=0.0, upper=0.5, off=0.0, one_sided=True,
     )  # fmt: skip
 
     def scene(self, scene: Scene) -> Scene:

@@ -17,7 +17,6 @@ class SubstrateLeak(SceneEffect):
     reference = (
         "dot-spread of white reflectors (Yule, Nielsen, TAGA 1951); length and share are engineering judgement"
     )
-    conserves = ("energy",)
 
     leak_share: float = parameter("a, of the light there", unit="", lower=0.0, upper=0.1, off=0.0, one_sided=True)
     length_um: float = parameter(

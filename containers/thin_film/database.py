@@ -151,7 +151,9 @@ def _connect(path: Path) -> sqlite3.Connection:
     except sqlite3.Error as error:
         raise _unusable(path, error) from error
     try:
-        _is_new(connection, path)  # before anything in another program's file is changed
+        with connection:  # one snapshot: another process may be making the tables at this moment
+            connection.execute("BEGIN")
+            _is_new(connection, path)  # before anything in another program's file is changed
         connection.execute(f"PRAGMA page_size = {PAGE_BYTES}")
         connection.execute("PRAGMA journal_mode = WAL")
         connection.execute(f"PRAGMA wal_autocheckpoint = {CHECKPOINT_PAGES}")

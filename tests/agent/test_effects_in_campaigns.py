@@ -323,7 +323,7 @@ def test_a_users_own_effect_that_is_edited_during_a_run_stops_it_until_it_is_put
         look_again(at, edited)
         run.join(60.0)
         (ended,) = ends
-        assert ended.returncode == 1
+        assert ended.returncode == 2
         for word in ("effect mine", mine.source_sha256, edited.source_sha256, "luxloop campaign resume own"):
             assert str(word) in ended.stderr
         assert carried(RunJournal(folder), "/request/ray", "/request/film") == [(mine,)]

@@ -79,7 +79,18 @@ def test_check_seals_what_was_changed_on_purpose(tmp_path: Path) -> None:
     folder = write_dataset(tmp_path)
     (folder / "readme.txt").write_text("hello")
     assert told("check", folder)["warnings"] == 1
-    assert told("check", folder, "--seal")["warnings"] == 0
+    said = run("check", folder, "--seal").output
+    assert "nothing wrong" in said
+    assert "sums are written anew" in said
+    assert told("check", folder)["warnings"] == 0
+
+
+def test_check_counts_the_guesses_that_still_stand(tmp_path: Path) -> None:
+    """What an import guessed is no error, but it is told until somebody has looked."""
+    folder = write_dataset(tmp_path)
+    manifest = folder / "dataset.toml"
+    manifest.write_text(manifest.read_text().replace("read_noise_e", "# check this: guessed\nread_noise_e", 1))
+    assert "1 lines of dataset.toml still say 'check this'" in run("check", folder).output
 
 
 def test_show_tells_camera_samples_and_shots(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import Any
 
 import numpy as np
@@ -113,3 +114,16 @@ def test_ambient_light_is_a_plane_whatever_the_exposure() -> None:
     assert plane[-1, -1] == pytest.approx(0.03 * FULL)
     assert plane.mean() == pytest.approx(0.0, abs=1e-9)
     assert AmbientGradient(rise_x=0.05, rise_y=0.0).signal(np.zeros((1, 1)), Camera(rows=1, columns=1)) == 0.0
+
+
+def test_the_sensor_acts_in_its_own_order_whatever_the_model_says() -> None:
+    """Light that is added is bent and cut like any other: six orders in the model, one signal."""
+    three = (
+        AmbientGradient(rise_x=0.05, rise_y=0.0),
+        Nonlinearity(bend=0.05),
+        Saturation(knee=0.8),
+    )
+    signal = np.full((100, 100), 0.95 * FULL)
+    found = [Effects(order).signal(signal, CAMERA) for order in itertools.permutations(three)]
+    for other in found[1:]:
+        np.testing.assert_array_equal(other, found[0])
