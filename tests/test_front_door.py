@@ -316,8 +316,11 @@ def test_ctrl_c_ends_with_130_and_leaves_nothing(settings: Settings) -> None:
 
 @pytest.mark.parametrize("delay_s", [0.0, 0.02, 0.05, 0.1, 0.2])
 def test_ctrl_c_right_at_the_start_ends_with_130_and_no_traceback(nobody: Settings, delay_s: float) -> None:
-    """Also while modules are being imported."""
-    code = "import luxloop.cli; print('ready', flush=True); luxloop.cli.main()"
+    """From when `main` has taken charge of it on, also while modules are being imported."""
+    code = (
+        "import luxloop.cli as door; whole = door.app;"
+        "door.app = lambda: (print('ready', flush=True), whole())[1]; door.main()"
+    )
     with subprocess.Popen(
         [sys.executable, "-c", code, "serve", "thin-film"],
         env=as_environment(nobody),
