@@ -27,7 +27,7 @@ UNKNOWN = "unknown_effect"
 MOST_SOURCES = 10  # a run's beginning holds 16 files
 
 
-def refuse_unusable(
+def try_effects(
     client: Client, model: Model, source: str, design: Design, method: Literal["monte_carlo", "twin"]
 ) -> list[str]:
     """Ask both workers for one history of a design under the model's effects; a sentence for each without influence.

@@ -18,7 +18,7 @@ from agent.campaign import INTERRUPTED, Runner
 from agent.checkpoints import Checkpoints
 from agent.config import Campaign
 from agent.designers import designer
-from agent.effects_tried import EffectsKept, refuse_unusable, roomiest, sources
+from agent.effects_tried import EffectsKept, roomiest, sources, try_effects
 from agent.live import live
 from agent.moves import Space
 from agent.progress import WALK, Found, Past, Progress
@@ -130,7 +130,7 @@ class Start:
         plan = self.plan
         if self.say and self.model.effects:
             warn("trying the model's effects")
-        for idle in refuse_unusable(client, self.model, plan.model, roomiest(plan), plan.walk.method):
+        for idle in try_effects(client, self.model, plan.model, roomiest(plan), plan.walk.method):
             warn(idle)
         return RunDoor.begin(client, plan, self._facts(), self._attachments(), **self._which())
 

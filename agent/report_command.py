@@ -128,7 +128,7 @@ def _under(
     from rich.console import Console
     from rich.progress import track
 
-    from agent.effects_tried import refuse_unusable
+    from agent.effects_tried import try_effects
     from agent.report_under import questions, row_under, under_of
     from luxloop.campaign import Plan
     from luxloop.client import Client
@@ -142,7 +142,7 @@ def _under(
         client = Client(settings, patience_s=PATIENCE_S)
     with client:
         for named in models:
-            refuse_unusable(client, named.model, named.name, winners[0].design, how.method)
+            try_effects(client, named.model, named.name, winners[0].design, how.method)
         asked = track(questions(winners, models), "winners", console=console, transient=True, disable=not show)
         rows = [row_under(client, winner, named, how) for winner, named in asked]
     return under_of(models, rows, how)

@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 
 from agent.config import Campaign, Stop
-from agent.effects_tried import EffectsKept, refuse_unusable, sources
+from agent.effects_tried import EffectsKept, sources, try_effects
 from agent.launch import launch
 from luxloop.campaign import Plan, Step
 from luxloop.design import Design
@@ -236,11 +236,11 @@ def test_a_method_that_an_effect_has_not_is_refused() -> None:
 
     model = find_model("paper").model_copy(update={"effects": (LOSS,)})
     with pytest.raises(RemoteError, match=r"m\.toml: method: got 'twin', allowed: monte_carlo"):
-        refuse_unusable(Refusing(), model, "m.toml", DESIGN, "twin")  # type: ignore[arg-type]  # duck
+        try_effects(Refusing(), model, "m.toml", DESIGN, "twin")  # type: ignore[arg-type]  # duck
     assert [(one.method, one.histories, one.effects) for one in asked] == [("twin", 1, (LOSS,))]
     low = DESIGN.model_copy(update={"distance_um": 10.0})
-    refuse_unusable(Refusing(), model, "m.toml", low, "twin")  # type: ignore[arg-type]  # duck
-    refuse_unusable(Refusing(), find_model("paper"), "paper", DESIGN, "twin")  # type: ignore[arg-type]  # duck
+    try_effects(Refusing(), model, "m.toml", low, "twin")  # type: ignore[arg-type]  # duck
+    try_effects(Refusing(), find_model("paper"), "paper", DESIGN, "twin")  # type: ignore[arg-type]  # duck
     assert len(asked) == 1  # a model without effects costs nothing, and so does what cannot be built
 
 
@@ -262,7 +262,7 @@ def test_an_effect_without_influence_is_said_before_a_run_begins() -> None:
             return SimpleNamespace(result={"warnings": told})
 
     model = find_model("paper").model_copy(update={"effects": (LOSS,)})
-    said = refuse_unusable(Saying(), model, "m.toml", DESIGN, "monte_carlo")  # type: ignore[arg-type]  # duck
+    said = try_effects(Saying(), model, "m.toml", DESIGN, "monte_carlo")  # type: ignore[arg-type]  # duck
     assert said == told[:1]
 
 

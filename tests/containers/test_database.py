@@ -223,8 +223,9 @@ def test_a_file_that_is_not_sqlite_is_refused_and_left_alone(tmp_path: Path) -> 
     """The error names the file and the mend; the file is as it was."""
     path = tmp_path / "films.sqlite"
     path.write_bytes(b"not a database at all" * 1000)
-    with pytest.raises(InputError, match=r"film database: got .*allowed: a SQLite file.*move it away"):
+    with pytest.raises(InputError, match=r"film database: got .*allowed: a SQLite file.*move it away") as caught:
         open_database(path)
+    assert caught.value.value == str(path)
     assert path.read_bytes() == b"not a database at all" * 1000
 
 

@@ -14,7 +14,7 @@ from containers.ray_tracing.field import CellField
 from containers.ray_tracing.monte_carlo import BLOCK
 from containers.ray_tracing.twin.cell import cell_field
 from containers.ray_tracing.twin.columns import COLUMNS
-from containers.ray_tracing.twin.module import ModuleTwin
+from containers.ray_tracing.twin.module import Lights, ModuleTwin
 from containers.scene import Array, Cell, Emission, Receiver, Scene, lambertian_receiver
 from luxloop.errors import InputError
 from tests.ray_scenes import scene
@@ -170,3 +170,21 @@ def test_each_chip_lays_the_same_map_at_its_own_place(emits: list[list[float]]) 
     places = zip(several.power.ravel(), several.centres_um.reshape(-1, 2), strict=True)
     expected = sum(power * one.mean(x - cx, y - cy) for power, (cx, cy) in places)
     np.testing.assert_allclose(whole.mean(x, y), expected, rtol=1e-9)
+
+
+def test_light_of_chips_that_is_remembered_is_the_same_to_the_last_bit(dim: tuple[Scene, Exits]) -> None:
+    """Chips that shine or stand otherwise share it; another surface, distance or chip has its own."""
+    case, exits = dim
+    array, known = Array.regular(3, 3, 500.0), Lights()
+    moved = replace(array, offset_um=np.full((3, 3, 2), 7.0))
+    lit = replace(case, layout=array)
+    others = [
+        lit, replace(lit, layout=replace(array, power=np.arange(9.0).reshape(3, 3))), replace(lit, layout=moved),
+        replace(lit, substrate=Lambertian(0.5)), replace(lit, distance_um=lit.distance_um + 1.0),
+        replace(lit, layout=Array.regular(3, 3, 480.0)),
+    ]  # fmt: skip
+    x = np.linspace(-700.0, 700.0, 9)
+    for one in others:
+        remembered, alone = (ModuleTwin(one, exits, blocks=1, known=by).mean(x, x) for by in (known, None))
+        np.testing.assert_array_equal(remembered, alone)
+    assert len(known) == 4

@@ -114,12 +114,13 @@ class FaultyWorld:
 
         What was leased and is not in hand may be on its way.
         """
-        told = set()
+        told, before = set(), {(lease.task_id, lease.attempt) for lease in self.core.held_by(worker)}
         for command in self.core.handle(e.Joined(self.now, worker, "film", holding=tuple(sorted(hand)))):
             if isinstance(command, e.Stop) and command.worker == worker:
                 told.add((command.task_id, command.attempt))
         kept = {(lease.task_id, lease.attempt) for lease in self.core.held_by(worker)}
         assert kept >= hand - told, "a returned worker lost what it was not told to drop"
+        assert kept <= before | hand, "a returned worker was given what it neither held nor named"
         assert not kept & told, "a returned worker keeps what it was told to drop"
         self.old += [(worker, task, attempt) for task, attempt in told]
         hand -= told

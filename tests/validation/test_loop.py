@@ -61,6 +61,7 @@ def test_where_needs_data_and_compare_a_data_set(settings: Settings, tmp_path: P
         (("where", "--model", "paper"), "luxloop compare DATASET comes first"),
         (("where",), "model.toml"),
         (("compare", "nowhere"), "dataset"),
+        (("compare", str(EXAMPLE), "--model", "no/such/model.toml"), "a folder that exists"),
         (("compare", str(EXAMPLE), "--page", "page.txt"), ".html"),
         (("calibrate", "--model", "paper"), "luxloop compare DATASET comes first"),
     ):
@@ -68,3 +69,4 @@ def test_where_needs_data_and_compare_a_data_set(settings: Settings, tmp_path: P
         assert done.returncode == 2, done.stderr
         assert words in done.stderr
         assert "Traceback" not in done.stderr
+    assert not (tmp_path / "no").exists()

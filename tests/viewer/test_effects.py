@@ -17,7 +17,7 @@ MAP = {
 
 
 def test_an_image_and_a_curve_are_drawn(tmp_path: Path) -> None:
-    """A PNG each."""
+    """A PNG each; by the name's ending a page that loads and runs nothing."""
     base = np.outer(np.hanning(9), np.hanning(9)) + 0.1
     axis = np.linspace(-100.0, 100.0, 9)
     facts = {"effect": "mine", "formula": "E", "values": {"a": 0.1, "gain": [0.1, -0.1], "law": "flat"}}
@@ -25,6 +25,11 @@ def test_an_image_and_a_curve_are_drawn(tmp_path: Path) -> None:
     draw(document, {"base": base, "with": 1.1 * base, "x_um": axis, "y_um": axis}, tmp_path / "image.png")
     curves = {f"{name}/{which}": np.ones(5) for name in ("R", "T", "psi", "delta") for which in ("base", "with")}
     draw(facts | {"kind": "curve"}, curves | {"wavelength_nm": np.arange(5.0)}, tmp_path / "curve.png")
+    draw(facts | {"kind": "curve"}, curves | {"wavelength_nm": np.arange(5.0)}, tmp_path / "curve.html")
+    page = (tmp_path / "curve.html").read_text(encoding="utf-8")
+    assert "What mine does" in page
+    assert "<svg" in page
+    assert "<script" not in page
     for name in ("image.png", "curve.png"):
         assert (tmp_path / name).read_bytes()[:4] == b"\x89PNG"
 

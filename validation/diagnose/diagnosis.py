@@ -147,11 +147,10 @@ def _step(ground: Ground, effects: Sequence[EffectSpec], means: Means, seed: int
         means.progress(0.2 + 0.7 * number / len(short), f"adding {one.name}")
         refits.append(refit(fit, one.best, slopes))
         explanations.append(_explanation(ground, one, refits[-1], best, [other.name for other in short]))
-    likely = max(
-        (k for k, one in enumerate(explanations) if one.plausible), key=lambda k: explanations[k].drop, default=None
-    )
-    if likely is not None:  # what will be named is fitted to its end, with derivatives of its own
-        means.progress(0.9, f"fitting {short[likely].name}")
+    ended: set[int] = set()
+    while (likely := _likeliest(explanations)) is not None and likely not in ended:
+        means.progress(0.9, f"fitting {short[likely].name}")  # what is named is fitted to its end
+        ended.add(likely)
         refits[likely] = finished(refits[likely], fit.problem.predictor, fit.problem.predict_curves)
         rivals = [other.name for other in short]
         explanations[likely] = _explanation(ground, short[likely], refits[likely], best, rivals)
@@ -162,6 +161,12 @@ def _step(ground: Ground, effects: Sequence[EffectSpec], means: Means, seed: int
 
     verdict = decided(explanations, len(effects), lambda: left_in_words(ground), next_image, level)
     return Step(ground, scored, alike, tuple(refits), tuple(explanations), verdict)
+
+
+def _likeliest(explanations: Sequence[Explanation]) -> int | None:
+    """The number of the one that a verdict would name."""
+    usable = [number for number, one in enumerate(explanations) if one.plausible]
+    return max(usable, key=lambda number: explanations[number].drop, default=None)
 
 
 def beyond_limits(fit: Fit) -> list[str]:

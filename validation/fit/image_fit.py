@@ -161,18 +161,18 @@ def _settled(evaluation: Evaluation, iteration: int) -> Fit:
     Its steps are by the product of columns with columns of another walk. Steps by their own product fall short along
     what the data hardly know, for there most of a column is noise, and end up to an error from the solution.
     """
-    problem, others = evaluation.problem, evaluation.others()
-    for turn in range(SETTLING):
+    problem, others, turn = evaluation.problem, evaluation.others(), 0
+    while True:
         white, reduced, columns = linearised(evaluation)
         other = evaluation.other_columns(white, others)
         step = crossed(evaluation, white, reduced, columns, other)
         error = np.sqrt(np.diag(reduced.covariance_of(columns, other, 1.0, ~step.at_limit & ~reduced.blind)))
         seen = np.isfinite(error) & (error > 0.0)
         near = bool(np.all(np.abs(step.change[seen]) < SETTLED * error[seen]))
-        if near or turn == SETTLING - 1:
+        turn += 1
+        if near or turn == SETTLING:
             return conclude(evaluation, white, reduced, columns, step, iteration + turn, near, other)
         evaluation = problem.evaluate(problem.unknowns.within(evaluation.values + step.change))
-    raise AssertionError("a last turn returns")
 
 
 def crossed(evaluation: Evaluation, white: Whitening, reduced: Reduced, columns: Real, other: Real) -> Step:

@@ -187,6 +187,10 @@ class Lights:
         self._lock = Lock()
         self._held: OrderedDict[str, tuple[Exits, tuple[ChipMap, float]]] = OrderedDict()
 
+    def __len__(self) -> int:
+        """How many are held."""
+        return len(self._held)
+
     def of(self, key: str, exits: Exits, make: Callable[[], tuple[ChipMap, float]]) -> tuple[ChipMap, float]:
         """What is held under a key, or made now; the exits are kept with it, so that no other gets their id."""
         with self._lock:

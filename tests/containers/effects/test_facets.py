@@ -143,3 +143,17 @@ def test_no_roughness_and_no_face_are_refused() -> None:
         Facets(1.0, N, 0.0)
     with pytest.raises(InputError, match="n_out"):
         Facets(1.0, 1.0, 0.1)
+
+
+def test_what_leaves_a_rough_chip_grows_with_the_slope_not_with_its_square() -> None:
+    """Of light that was trapped a band of angles is set free whose width goes with the slope: twice the slope sets
+    about twice as much free (four times, were it the square), so the effect counts by its value."""
+    absorbing = {"absorption_per_um": 2e-2}
+    smooth = float(exits_of(scene(absorbing))[0][:, 8].sum())
+    freed = [
+        float(exits_of(Effects((SideWallRoughness(slope=slope),)).scene(scene(absorbing)))[0][:, 8].sum()) - smooth
+        for slope in (0.1, 0.2)
+    ]
+    assert 1.5 < freed[1] / freed[0] < 2.6
+    (parameter,) = SideWallRoughness.spec().parameters
+    assert parameter.score_variable == "value"

@@ -16,7 +16,7 @@ from tests.validation.analytic import HALO, MODEL, PATHS
 from tests.validation.diagnose.made_up import CATALOGUE, Affected, data, diagnosis, ground_of, spec
 from validation.contrasts.structure import fit_projection
 from validation.diagnose.columns import FitSight, candidates_of
-from validation.diagnose.diagnosis import trusted
+from validation.diagnose.diagnosis import beyond_limits, trusted
 from validation.diagnose.document import document, effect_document
 from validation.diagnose.evidence import group_log_evidence
 from validation.diagnose.explained import Share
@@ -27,7 +27,7 @@ from validation.diagnose.ladder import Rung
 from validation.diagnose.refit import finished, refit
 from validation.diagnose.score import Projected, scores
 from validation.diagnose.verdict import LEVEL
-from validation.fit import fit
+from validation.fit import NOT_CONVERGED, fit
 
 
 def test_nothing_hidden_is_nothing_visible() -> None:
@@ -66,6 +66,7 @@ def test_one_effect_is_named_with_its_size() -> None:
     assert best.p_left > 0.005
     assert best.log_evidence is not None
     assert best.log_evidence > 10.0
+    assert dict(found.steps[0].refits[0].candidate.shape) == {"length_um": 300.0}
     assert dict(best.shape) == pytest.approx({"length_um": 300.0}, rel=0.01)
     assert "(length_um 299" in found.verdict.sentence or "(length_um 300" in found.verdict.sentence
 
@@ -75,6 +76,17 @@ def test_an_effect_whose_square_counts_is_fitted_from_off() -> None:
     best = diagnosis(data("fog", 3, 0.3)).added[0]
     assert best.name == "fog"
     assert abs(best.value - 0.3) < 3.0 * best.error
+
+
+def test_only_a_little_that_is_left_to_gain_is_excused_by_a_missing_effect() -> None:
+    """So is a limit; a fit that is far from its end, and any other reason, is told at once."""
+    fit_ = diagnosis(data(None, 1)).steps[0].ground.fit
+    late, other = f"{NOT_CONVERGED}: some is left", "two parameters are the same"
+    near = replace(fit_, gap=0.01 * fit_.chi2, distrust=(late, other))
+    assert beyond_limits(near) == [other]
+    assert beyond_limits(replace(near, gap=0.05 * fit_.chi2)) == [late, other]
+    held = replace(near, at_limit=("a.b",), distrust=("a.b is at its limit", other))
+    assert beyond_limits(held) == [other]
 
 
 def test_the_word_that_shapes_an_effect_is_the_one_that_leaves_least() -> None:
