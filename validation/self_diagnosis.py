@@ -1,7 +1,8 @@
 """The last question to an effect: hidden in data at 20 sigma, is it found again, or a group that it belongs to?
 
-The data are images, or curves of the example film, as the model with the effect would give them, with noise of the
-example's instruments drawn once; then the model without it is diagnosed among all effects that the workers know.
+The data are the example images as the model with the effect would give them, with noise of the example camera drawn
+once; then the model without it is diagnosed among all effects that the workers know. Effects that change no image,
+those of films, are not asked.
 """
 
 from __future__ import annotations
@@ -47,7 +48,7 @@ def self_diagnosed(
 ) -> Finding:
     """Whether a diagnosis names the effect or its group; nothing is demanded where no single size can be hidden."""
     if not ground.sight.views:
-        return Finding(CHECK, None, "effects of films are not tried on images")
+        return Finding(CHECK, None, "not asked of effects of films: it hides them in images")
     if any(one.per_chip for one in acting(spec)):
         return Finding(CHECK, None, "an effect of every chip has no single size to hide")
     one, value, sigma = loudest(spec, columns, projected(columns, ground.projection))

@@ -66,11 +66,9 @@ class Explanation:
         return size_in_words(self.parameter, self.value, self.error, self.unit, dict(self.shape))
 
 
-def size_in_words(
-    parameter: str, value: float, error: float | None, unit: str, shape: Mapping[str, Value], sign: str = "+-"
-) -> str:
+def size_in_words(parameter: str, value: float, error: float | None, unit: str, shape: Mapping[str, Value]) -> str:
     """A size and what shapes it: "edge_loss 0.078 +- 0.0028 (law cos4)"."""
-    known = "" if error is None or not math.isfinite(error) else f" {sign} {error:.2g}"
+    known = "" if error is None or not math.isfinite(error) else f" +- {error:.2g}"
     shaped = ", ".join(
         f"{name} {one:.4g}" if isinstance(one, float) else f"{name} {one}" for name, one in shape.items()
     )
