@@ -1,8 +1,8 @@
 """The front door: finds the rooms' commands by entry points, hands them over, turns errors into exit codes.
 
 An entry point of the group `luxloop.commands` is a typer-style function; the name `serve.router` makes it
-`luxloop serve router`. Nothing numeric is imported before the chosen command runs, and nothing at all that takes
-time before `main` has taken charge of Ctrl-C.
+`luxloop serve router`. Only what the arguments can mean is imported, nothing numeric before the chosen command runs,
+and nothing at all that takes time before `main` has taken charge of Ctrl-C.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ GROUPS = {
 }
 
 
-def app() -> typer.Typer:
-    """The whole command tree."""
+def app(words: tuple[str, ...] = ()) -> typer.Typer:
+    """The command tree, or what of it the words of a command line can mean; all of it where they name no command."""
     from importlib.metadata import entry_points
 
     import typer
@@ -52,7 +52,10 @@ def app() -> typer.Typer:
         """Options before the command."""
 
     groups: dict[str, typer.Typer] = {}
-    for point in sorted(entry_points(group="luxloop.commands"), key=lambda point: point.name):
+    points = sorted(entry_points(group="luxloop.commands"), key=lambda point: point.name)
+    for depth in (1, 2):
+        points = [point for point in points if point.name.split(".")[:depth] == list(words[:depth])] or points
+    for point in points:
         group, _, name = point.name.rpartition(".")
         if group and group not in groups:
             groups[group] = typer.Typer(no_args_is_help=True, help=GROUPS.get(group, ""))
@@ -75,7 +78,7 @@ def main() -> None:
 def _run(as_json: bool) -> int:
     """The exit code of the command that the arguments name; what went wrong has been told."""
     try:
-        root = app()
+        root = app(tuple(sys.argv[1:]))
         signal.signal(signal.SIGINT, signal.default_int_handler)  # from here on a command lets go of what it holds
         return int(root(prog_name="luxloop", standalone_mode=not as_json, color=_colour()) or 0)
     except SystemExit as end:  # how typer ends; its code is 1 where the reader of our output has gone: `... | head`

@@ -121,11 +121,15 @@ def diff(before: Model, after: Model) -> list[Change]:
     return changes
 
 
-@cache
 def range_of(model: type[BaseModel], field: str) -> str:
     """What may stand in a field, for people: "390 to 770", "isotropic or in_plane_dipole", "" where it is free."""
-    schema = model.model_json_schema()["properties"][field]
+    schema = _json_schema(model)["properties"][field]
     return " or ".join(filter(None, map(_range, schema.get("anyOf", [schema]))))
+
+
+@cache
+def _json_schema(model: type[BaseModel]) -> dict[str, Any]:
+    return model.model_json_schema()
 
 
 def _range(schema: dict[str, Any]) -> str:

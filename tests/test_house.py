@@ -11,6 +11,8 @@ from pathlib import Path
 
 import pytest
 
+from luxloop.cli import app
+
 ROOT = Path(__file__).parents[1]
 ROOMS = ("agent", "containers", "env_controller", "validation", "viewer")
 PACKAGES = ("luxloop", *ROOMS)
@@ -93,3 +95,21 @@ def test_help_imports_nothing_numeric() -> None:
     )
     shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert shown.stdout.strip() == "[]"
+
+
+def test_a_command_line_loads_what_it_can_mean() -> None:
+    """A command comes alone, a group whole where its second word is no command of it; no command: all of them."""
+
+    def shown(*words: str) -> dict[str, list[str]]:
+        root = app(words)
+        alone = [one.name or "" for one in root.registered_commands]
+        return {"": alone} | {
+            str(group.name): [one.name or "" for one in group.typer_instance.registered_commands]
+            for group in root.registered_groups
+            if group.typer_instance is not None
+        }
+
+    assert shown("compare", "audit") == {"": ["compare"]}
+    assert shown("audit", "verify", "runs/a") == {"": [], "audit": ["verify"]}
+    assert shown("audit", "verfy") == {"": [], "audit": shown()["audit"]}
+    assert shown("compar") == shown("--help") == shown()
