@@ -60,7 +60,8 @@ def budget_error(n: np.ndarray, d: np.ndarray, wavelength: float, u: np.ndarray)
 
 
 def kernels_differ(n: np.ndarray, d: np.ndarray, wavelength: float, u: np.ndarray) -> float:
-    rows = StackRows(np.array([wavelength]), n[None], d, np.zeros(d.size + 1), np.ones(d.size, bool))
+    smooth, coherent, films = np.zeros(d.size + 1), np.ones(d.size, bool), np.zeros(d.size, bool)
+    rows = StackRows(np.array([wavelength]), n[None], d, smooth, coherent, films)
     if not lossless.applies(rows):
         return 0.0
     return float(np.abs(lossless.stack_reflectance(rows, u) - solve(n, d, 0.0, [wavelength], u).R_inside).max())

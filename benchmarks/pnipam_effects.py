@@ -46,7 +46,7 @@ CASES: tuple[Case, ...] = (
     ("film_interlayer", "thickness_nm", {"face": "inner"}),
     ("film_interlayer", "thickness_nm", {"face": "outer"}),
     ("film_dispersion", "rise", {}),
-    ("film_absorption_tail", "extinction", {"tail_nm": 100.0}),
+    ("film_absorption_tail", "extinction", {"urbach_ev": 0.4}),
 )
 """Effects on what lies there: those whose rows need no stack in words."""
 

@@ -108,7 +108,7 @@ def silicon_aspnes(wavelength_nm: Real) -> NDArray[np.complex128]:
 
 
 def film_on(silicon: Index, layers: list[tuple[Index, float]]) -> RowsAt:
-    """Rows of smooth layers (index, thickness in nm), from the silicon outwards, in air."""
+    """Rows of smooth layers (index, thickness in nm), from the silicon outwards, in air; the last is the film."""
 
     def rows(wavelength_nm: Real) -> StackRows:
         media: list[Index] = [silicon, *(index for index, _ in layers), air]
@@ -118,6 +118,7 @@ def film_on(silicon: Index, layers: list[tuple[Index, float]]) -> RowsAt:
             thickness_nm=np.array([thickness for _, thickness in layers]),
             roughness_nm=np.zeros(len(layers) + 1),
             coherent=np.ones(len(layers), bool),
+            film=np.arange(len(layers)) == len(layers) - 1,
         )
 
     return rows

@@ -26,7 +26,7 @@ from containers.effect import (
     changed,
 )
 from containers.scene import Cell, Scene
-from containers.stack import StackRows
+from containers.stack import StackRows, films_in, with_film
 from luxloop.camera import Camera
 from luxloop.errors import InputError
 from luxloop.stack import Stack
@@ -65,8 +65,12 @@ class Effects:
         return spot[0][1]
 
     def film(self, stack: Stack) -> tuple[tuple[float, Stack], ...]:
-        """Shares of the spot on a measured film, and the stack at each of them."""
-        return self._spot(stack, "film")
+        """Shares of the spot on a measured film, and the stack at each of them.
+
+        Which layer is the film is decided once, of the stack as it was measured (`with_film`). Raises InputError for
+        an effect that makes a new layer of it, which those after it would not know.
+        """
+        return self._spot(with_film(stack), "film")
 
     @property
     def makes_media(self) -> bool:
@@ -160,6 +164,10 @@ class Effects:
             spot = tuple((share * part, one) for share, parts in spread for part, one in parts)
             if abs(sum(share for share, _ in spot) - 1.0) > SHARES:
                 raise InputError(f"effects.{effect.name}", sum(s for s, _ in spot), "shares of sum 1")
+            lost = [one for _, one in spot if any(films_in(stack)) and not any(films_in(one))]
+            if lost:
+                mend = "change it by layer.model_copy(update={...}), to a thickness of 0 to take it away"
+                raise InputError(f"effects.{effect.name}", str(lost[0]), "a stack with the film it was given", mend)
         return spot
 
     def _of(self, of: Literal["dbr", "film"]) -> list[StackEffect]:

@@ -132,7 +132,7 @@ class StackEffect(Effect):
     of: ClassVar[tuple[Literal["dbr", "film"], ...]] = ("dbr", "film")
 
     def stack(self, stack: Stack) -> Stack:
-        """The stack with the effect."""
+        """The stack with the effect. Of a measured film it is marked which layer is the film (`stack.films_in`)."""
         return stack
 
     def stacks(self, stack: Stack) -> tuple[tuple[float, Stack], ...]:

@@ -15,7 +15,7 @@ import numpy as np
 from containers.acting import Effects
 from containers.effect import StackEffect
 from containers.effect_example import Example, Seen, text_of
-from containers.stack import StackRows, dbr_of, resolve
+from containers.stack import StackRows, dbr_of, resolve, with_film
 from luxloop.errors import InputError
 from luxloop.model_file import find_model
 from luxloop.stack import Layer, Medium, Stack
@@ -40,8 +40,8 @@ def films(kind: type[StackEffect]) -> Iterator[Example[Any]]:
         for side, x_um in (("left", -ASIDE_UM), ("right", ASIDE_UM)):
             yield Example(f"the DBR of a chip on the {side}", dbr, _beside(x_um), _spot, _refuse_spot, _spot_kept)
     if "film" in kind.of:
-        on_silicon = Stack(inside=Medium(material="Si"), layers=(polymer,), outside=air)
-        on_glass = Stack(inside=air, layers=(glass, polymer), outside=air)
+        on_silicon = with_film(Stack(inside=Medium(material="Si"), layers=(polymer,), outside=air))
+        on_glass = with_film(Stack(inside=air, layers=(glass, polymer), outside=air))
         yield Example("a polymer on silicon", on_silicon, Effects.film, _spot, _refuse_spot, _spot_kept)
         yield Example("a polymer on thick glass", on_glass, Effects.film, _spot, _refuse_spot, _spot_kept)
         media = resolve(on_silicon, WAVELENGTH_NM)
@@ -85,14 +85,14 @@ def _spot_kept(before: Stack, stacks: Any, law: str) -> None:
 
 
 def _rows(rows: StackRows) -> list[Seen]:
-    return [rows.wavelength_nm, rows.index, rows.thickness_nm, rows.roughness_nm, rows.coherent]
+    return [rows.wavelength_nm, rows.index, rows.thickness_nm, rows.roughness_nm, rows.coherent, rows.film]
 
 
 def _refuse_rows(rows: StackRows) -> None:
     """Arrays that belong together, layers that can be, and media that are passive."""
     waves, layers = len(WAVELENGTH_NM), rows.thickness_nm.size
     shapes = tuple(part.shape for part in _rows(rows))
-    wanted = ((waves,), (waves, layers + 2), (layers,), (layers + 1,), (layers,))
+    wanted = ((waves,), (waves, layers + 2), (layers,), (layers + 1,), (layers,), (layers,))
     if shapes != wanted or not np.array_equal(rows.wavelength_nm, WAVELENGTH_NM):
         mend = "a medium for each layer and both bulks, at the wavelengths that are given"
         raise InputError("rows", f"shapes {shapes}", f"{wanted}: {layers} layers", mend)

@@ -13,6 +13,9 @@ from luxloop.errors import InputError
 
 Complex = NDArray[np.complex128]
 
+ROUNDING_NM = 1e-9
+"""A neighbour that gives all that it has may seem to lack so much."""
+
 
 def bruggeman(index_a: ArrayLike, index_b: ArrayLike, share_b: float = 0.5) -> Complex:
     """Index n + ik of a fine mixture of two media, `share_b` of the volume being b.
@@ -52,14 +55,16 @@ def with_interlayer(rows: StackRows, face: int, thickness_nm: float, share_outer
     mixed = bruggeman(rows.index[:, face], rows.index[:, face + 1], share_outer)
     left = np.array([np.inf, *rows.thickness_nm, np.inf])  # the half spaces give without becoming thinner
     left[face : face + 2] -= thickness_nm * np.array([1.0 - share_outer, share_outer])
-    if left.min() < 0.0:
+    if left.min() < -ROUNDING_NM:
         raise InputError("thickness_nm", thickness_nm, "no more than its neighbours can give", "make it thinner")
+    left = np.maximum(left, 0.0)
     return replace(
         rows,
         index=np.insert(rows.index, face + 1, mixed, axis=1),
         thickness_nm=np.insert(left[1:-1], face, thickness_nm),
         roughness_nm=np.insert(rows.roughness_nm, face + 1, 0.0),
         coherent=np.insert(rows.coherent, face, True),
+        film=np.insert(rows.film, face, False),
     )
 
 

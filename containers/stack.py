@@ -9,8 +9,8 @@ and back. A GaN layer on the GaN bulk is optically part of it, hence R(gan_first
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -29,6 +29,10 @@ GAN, ALN = 0, 1
 MAX_PAIRS = 100.0
 
 
+class Film(Layer):
+    """The layer of a measured sample that is called its film: what effects on films act on (`with_film`)."""
+
+
 @dataclass(frozen=True)
 class StackRows:
     """A stack as the kernels read it: media from the inside bulk outwards, M layers, M + 1 faces."""
@@ -43,6 +47,8 @@ class StackRows:
     """(M + 1,), rms height of each face."""
     coherent: NDArray[np.bool_]
     """(M,), False where powers are added instead of amplitudes."""
+    film: NDArray[np.bool_]
+    """(M,), True for what effects on films act on: a layer that was marked (`with_film`)."""
 
     @property
     def lossless(self) -> bool:
@@ -61,6 +67,7 @@ def resolve(stack: Stack, wavelength_nm: ArrayLike) -> StackRows:
         thickness_nm=np.array([layer.thickness_nm for layer in stack.layers], dtype=float),
         roughness_nm=np.array([stack.inside_roughness_nm, *(layer.roughness_nm for layer in stack.layers)]),
         coherent=np.array([layer.coherent for layer in stack.layers], dtype=bool),
+        film=np.array(films_in(stack), dtype=bool),
     )
 
 
@@ -169,13 +176,38 @@ def _rougher(before_nm: float, more_nm: float) -> dict[str, float]:
     return {"roughness_nm": float(np.hypot(before_nm, more_nm))}
 
 
-def film_layer(thickness_nm: Iterable[float], coherent: Iterable[bool]) -> int | None:
-    """Number of the layer that is called the film of a sample: the thickest coherent one; None: there is none."""
-    films = [(nm, number) for number, (nm, kept) in enumerate(zip(thickness_nm, coherent, strict=True)) if kept]
-    return max(films, key=lambda film: film[0], default=(0.0, None))[1]
+def with_film(stack: Stack) -> Stack:
+    """The stack as it was measured, its film marked: the thickest coherent layer, the innermost of several.
+
+    Whatever effects then do to thicknesses, coherence and neighbours, the film stays the layer that it was. A stack
+    without coherent layers has none.
+    """
+    coherent = [number for number, layer in enumerate(stack.layers) if layer.coherent]
+    if not coherent:
+        return stack
+    film = max(coherent, key=lambda number: stack.layers[number].thickness_nm)
+    layers = (Film(**dict(layer)) if number == film else layer for number, layer in enumerate(stack.layers))
+    return stack.model_copy(update={"layers": tuple(layers)})
 
 
-def film_face(thickness_nm: Iterable[float], coherent: Iterable[bool], side: Literal["inner", "outer"]) -> int:
-    """Number of the film's face to the inside (inner) or outside (outer); 0 is the bulk's, also without a film."""
-    film = film_layer(thickness_nm, coherent)
-    return 0 if film is None else film + (side == "outer")
+def films_in(stack: Stack) -> list[bool]:
+    """Which of the layers are the film: one, none, or all parts of one that an effect cut."""
+    return [isinstance(layer, Film) for layer in stack.layers]
+
+
+def with_index_added(rows: StackRows, added: NDArray[np.complex128] | NDArray[np.float64]) -> StackRows:
+    """The rows with dn + i dk (wavelength,) added to the index of the film."""
+    index = rows.index.copy()
+    index[:, 1:-1] += np.where(rows.film, added[:, None], 0.0)
+    return replace(rows, index=index)
+
+
+def film_face(film: Sequence[bool] | NDArray[np.bool_], side: Literal["inner", "outer"]) -> int:
+    """Number of the film's face to the inside (inner) or outside (outer), by which layers are the film.
+
+    Faces are counted from the bulk's, 0. Without a film they are the first and the last face of the stack.
+    """
+    numbers = np.flatnonzero(film) if np.any(film) else np.arange(len(film))
+    if not numbers.size:
+        return 0
+    return int(numbers[0] if side == "inner" else numbers[-1] + 1)

@@ -15,6 +15,7 @@ UNITS = {
     "_dn_per_e": "DN/e",
     "_dn": "DN",
     "_e": "e",
+    "_ev": "eV",
     "_nm": "nm",
     "_um": "um",
     "_mm": "mm",

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from containers.effect import StackEffect, parameter
-from containers.stack import StackRows, film_layer
+from containers.stack import StackRows, with_index_added
 
 FIXED_NM, BLUE_NM, RED_NM = 550.0, 400.0, 800.0
 
@@ -26,11 +24,8 @@ class FilmDispersion(StackEffect):
     rise: float = parameter("s, added to n(400 nm) - n(800 nm)", unit="", lower=-0.1, upper=0.1, off=0.0)
 
     def rows(self, rows: StackRows) -> StackRows:
-        """The film's index with the slope; the film is the thickest coherent layer."""
-        film = film_layer(rows.thickness_nm, rows.coherent)
-        if film is None or not self.rise:
+        """The film's index with the slope."""
+        if not self.rise:
             return rows
-        index = rows.index.copy()
         slope = (rows.wavelength_nm**-2 - FIXED_NM**-2) / (BLUE_NM**-2 - RED_NM**-2)
-        index[:, film + 1] += self.rise * np.asarray(slope)
-        return replace(rows, index=index)
+        return with_index_added(rows, self.rise * np.asarray(slope))

@@ -9,15 +9,19 @@ import numpy as np
 from containers.effect import StackEffect, parameter
 from containers.mixing import with_interlayer
 from containers.stack import StackRows, film_face
+from luxloop.errors import InputError
 
 
 class FilmInterlayer(StackEffect):
-    """A layer of film and neighbour, half and half, lies at a face of the film: roughness as ellipsometry has it."""
+    """A layer of film and neighbour, mixed, lies at a face of the film: roughness as ellipsometry has it."""
 
     name = "film_interlayer"
     rank = 1  # it mixes layers as all others have left them
     of = ("film",)
-    formula = "a layer of Bruggeman's mixture of both neighbours, half its thickness taken from each"
+    formula = (
+        "a layer of Bruggeman's mixture of both neighbours, half its thickness taken from each; of a thinner one "
+        "all there is, the rest from the other, and the mixture has them in these shares"
+    )
     reference = "Bruggeman, Ann. Phys. 416, 636 (1935); Aspnes, Theeten, Hottier, Phys. Rev. B 20, 3292 (1979)"
     scope = "per_sample"
     excludes = ("film_interface_roughness",)
@@ -28,9 +32,14 @@ class FilmInterlayer(StackEffect):
     )
 
     def rows(self, rows: StackRows) -> StackRows:
-        """The rows with the mixed layer, no thicker than its neighbours give; the film is the thickest coherent."""
+        """The rows with the mixed layer. Raises InputError for one thicker than both of its neighbours together."""
         if not self.thickness_nm:
             return rows
-        face = film_face(rows.thickness_nm, rows.coherent, self.face)
-        neighbours_nm = [np.inf, *rows.thickness_nm, np.inf][face : face + 2]
-        return with_interlayer(rows, face, min(self.thickness_nm, 2.0 * min(neighbours_nm)))
+        face = film_face(rows.film, self.face)
+        inner_nm, outer_nm = [np.inf, *rows.thickness_nm, np.inf][face : face + 2]
+        if self.thickness_nm > inner_nm + outer_nm:
+            allowed = f"0 to {inner_nm + outer_nm:g} nm: what the layers at the {self.face} face have together"
+            raise InputError("thickness_nm", self.thickness_nm, allowed, "a thinner mixed layer, or the other face")
+        half_nm = self.thickness_nm / 2.0
+        from_outer_nm = min(max(half_nm, self.thickness_nm - inner_nm), outer_nm)
+        return with_interlayer(rows, face, self.thickness_nm, from_outer_nm / self.thickness_nm)

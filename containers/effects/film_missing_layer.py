@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Literal
 
 from containers.effect import StackEffect, parameter
-from containers.stack import film_face
+from containers.stack import film_face, films_in
 from luxloop.stack import Layer, Medium, Stack
 
 ORGANIC = 1.5
@@ -16,7 +16,10 @@ class FilmMissingLayer(StackEffect):
 
     name = "film_missing_layer"
     of = ("film",)
-    formula = "a layer of the named material is added at a face of the film"
+    rank = -1  # before what makes all faces rough
+    formula = (
+        "a layer of the named material is added at a face of the film; without a film, at the first or last face"
+    )
     reference = "native oxide of silicon 1 to 2 nm: Morita et al., J. Appl. Phys. 68, 1272 (1990)"
     scope = "per_sample"
     conserves = ("energy", "reciprocity")
@@ -30,11 +33,10 @@ class FilmMissingLayer(StackEffect):
     )
 
     def stack(self, stack: Stack) -> Stack:
-        """The stack with the layer; the film is the thickest coherent layer."""
+        """The stack with the layer."""
         if not self.thickness_nm:
             return stack
         layers = list(stack.layers)
-        face = film_face([one.thickness_nm for one in layers], [one.coherent for one in layers], self.face)
         medium = Medium(n=ORGANIC) if self.material == "organic" else Medium(material=self.material)
-        layers.insert(face, Layer(medium=medium, thickness_nm=self.thickness_nm))
+        layers.insert(film_face(films_in(stack), self.face), Layer(medium=medium, thickness_nm=self.thickness_nm))
         return stack.model_copy(update={"layers": tuple(layers)})

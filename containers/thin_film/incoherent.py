@@ -58,6 +58,7 @@ def flipped(rows: StackRows) -> StackRows:
         thickness_nm=rows.thickness_nm[::-1],
         roughness_nm=rows.roughness_nm[::-1],
         coherent=rows.coherent[::-1],
+        film=rows.film[::-1],
     )
 
 
@@ -69,6 +70,7 @@ def section(rows: StackRows, first: int, last: int) -> StackRows:
         thickness_nm=rows.thickness_nm[first : last - 1],
         roughness_nm=rows.roughness_nm[first:last],
         coherent=rows.coherent[first : last - 1],
+        film=rows.film[first : last - 1],
     )
 
 

@@ -45,9 +45,8 @@ def mirrored(thickness_nm: float, both_sides: bool = False) -> Callable[[Real], 
     def rows(wavelength_nm: Real) -> StackRows:
         mirror = 1e-9 + 1e11j
         media = np.array([[mirror, N, mirror if both_sides else N]]) + np.zeros((len(wavelength_nm), 1))
-        return StackRows(
-            wavelength_nm, media.astype(complex), np.array([thickness_nm]), np.zeros(2), np.array([True])
-        )
+        coherent, film = np.array([True]), np.array([False])
+        return StackRows(wavelength_nm, media.astype(complex), np.array([thickness_nm]), np.zeros(2), coherent, film)
 
     return rows
 

@@ -184,7 +184,7 @@ def test_a_models_effects_act_on_its_dbr(asked: Any, monkeypatch: pytest.MonkeyP
     models = {
         "thick": (effect("dbr_thickness_error", error_ratio=0.03),),
         "blurred": (effect("camera_psf", psf_um=20.0, profile="gaussian"),),
-        "offset": (effect("film_baseline_offset", offset_percent=1.0, offset_deg=0.0),),
+        "offset": (effect("film_baseline_offset", offset_percent=1.0, azimuth_deg=0.0, retardance_deg=0.0),),
     }
     paper = find_model("paper")
     found = {name: paper.model_copy(update={"effects": those}) for name, those in models.items()}

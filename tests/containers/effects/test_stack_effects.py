@@ -16,22 +16,20 @@ from scipy.integrate import quad
 
 from containers.acting import Effects
 from containers.catalogue import Catalogue
-from containers.effect import CurveEffect, Reading, StackEffect
+from containers.effect import StackEffect
 from containers.effects.dbr_absorption import DbrAbsorption
 from containers.effects.dbr_dispersion import DbrDispersion
 from containers.effects.dbr_index_error import DbrIndexError
 from containers.effects.dbr_layer_order import DbrLayerOrder
 from containers.effects.dbr_roughness import DbrRoughness
 from containers.effects.dbr_thickness_error import DbrThicknessError
-from containers.effects.film_baseline_offset import FilmBaselineOffset
 from containers.effects.film_dispersion import FilmDispersion
 from containers.effects.film_interface_roughness import FilmInterfaceRoughness
 from containers.effects.film_interlayer import FilmInterlayer
 from containers.effects.film_missing_layer import FilmMissingLayer
 from containers.effects.film_substrate_fringes import FilmSubstrateFringes
-from containers.effects.film_thickness_spread import FilmThicknessSpread
 from containers.materials import material
-from containers.stack import dbr_of, resolve
+from containers.stack import dbr_of, resolve, with_film
 from containers.thin_film.database import open_database
 from containers.thin_film.film_measurement import interlayer, measure
 from containers.thin_film.table import Side, film_table
@@ -236,14 +234,19 @@ def test_absorption_takes_what_tmm_says() -> None:
 
 
 def test_the_layer_order_has_the_papers_two_branches() -> None:
-    """2.5 pairs: R(0) 0.378 with GaN first, 0.009 with AlN first, whichever the environment has."""
+    """2.5 pairs: R(0) of the line 0.378 with GaN first, 0.009 with AlN, here and by tmm, whichever the model has."""
     for order in ("gan_first", "aln_first"):
         stack = dbr_of(PAPER.model_copy(update={"layer_order": order}), 2.5)
-        for wanted, R in (("gan_first", 0.378), ("aln_first", 0.009)):
+        for wanted, R, alone in (("gan_first", 0.378, 0.380), ("aln_first", 0.009, 0.005)):
             swapped = DbrLayerOrder(order=wanted).stack(stack)
             assert swapped == dbr_of(PAPER.model_copy(update={"layer_order": wanted}), 2.5)
             of_line = measure(swapped, "R", [445.0], [0.0], bandwidth_nm=18.0, from_side="inside")
             assert float(of_line[0, 0]) == pytest.approx(R, abs=5e-4)
+            media, layers = resolve(swapped, [445.0]).index[0], [layer.thickness_nm for layer in swapped.layers]
+            sigmas = np.linspace(-5.0, 5.0, 101)
+            by_tmm = [tmm_r(list(media), layers, 445.0 + 18.0 / 2.3548 * at) for at in sigmas]
+            assert float(np.average(by_tmm, weights=np.exp(-(sigmas**2) / 2.0))) == pytest.approx(R, abs=5e-4)
+            assert tmm_r(list(media), layers, 445.0) == pytest.approx(alone, abs=5e-4)
         assert DbrLayerOrder(order=order).stack(stack) is stack
     with pytest.raises(InputError, match="order"):
         DbrLayerOrder(order="aln_first").stack(dbr_of(PAPER, 0.5))
@@ -323,7 +326,7 @@ def on_plain(layer: Layer, *below: Layer) -> Stack:
 def test_the_spread_is_the_mean_of_fringes_over_a_normal_distribution() -> None:
     """R of a film of 900 nm with 4 % spread is scipy's integral of Airy's fringes."""
     stack = on_plain(Layer(medium=Medium(n=1.5), thickness_nm=900.0))
-    found = measure(FilmThicknessSpread(spread_ratio=0.04).stacks(stack), "R", [420.0, 555.0], [0.0])[:, 0]
+    found = measure(effects("film_thickness_spread", spread_ratio=0.04).film(stack), "R", [420.0, 555.0], [0.0])[:, 0]
     for value, wave in zip(found, (420.0, 555.0), strict=True):
         want, _ = quad(
             lambda z, wave=wave: float(
@@ -337,7 +340,8 @@ def test_the_spread_is_the_mean_of_fringes_over_a_normal_distribution() -> None:
 def test_spread_takes_the_fringes_away_and_leaves_their_mean() -> None:
     """With 10 % of 3 um fringes of many turns fade to the incoherent sum of the two faces."""
     thick = Layer(medium=Medium(n=1.5), thickness_nm=3000.0)
-    spread = measure(FilmThicknessSpread(spread_ratio=0.1).stacks(on_plain(thick)), "R", WAVES, [0.0])
+    spot = effects("film_thickness_spread", spread_ratio=0.1).film(on_plain(thick))
+    spread = measure(spot, "R", WAVES, [0.0])
     plain = measure(on_plain(thick), "R", WAVES, [0.0])
     incoherent = measure(on_plain(thick.model_copy(update={"coherent": False})), "R", WAVES, [0.0])
     np.testing.assert_allclose(spread, incoherent, atol=2e-5)
@@ -346,7 +350,7 @@ def test_spread_takes_the_fringes_away_and_leaves_their_mean() -> None:
 
 def rows_of(effect: StackEffect, stack: Stack, wave: Real = WAVES) -> Any:
     """The rows that an effect makes of a stack's."""
-    return effect.rows(resolve(stack, wave))
+    return effect.rows(resolve(with_film(stack), wave))
 
 
 def test_dispersion_turns_the_index_about_550_nm() -> None:
@@ -361,25 +365,13 @@ def test_dispersion_turns_the_index_about_550_nm() -> None:
 
 def test_dispersion_shows_in_the_fringes_as_airy_has_them() -> None:
     """A film of 800 nm with the slope reflects at each wavelength as a film of that index does."""
-    stack = on_plain(Layer(medium=Medium(n=1.5), thickness_nm=800.0))
+    stack = with_film(on_plain(Layer(medium=Medium(n=1.5), thickness_nm=800.0)))
     acting = effects("film_dispersion", rise=0.05)
     found = measure(lambda wave: acting.rows(resolve(stack, wave)), "R", WAVES, [0.0])[:, 0]
     slope = 0.05 * (WAVES**-2 - 550.0**-2) / (400.0**-2 - 800.0**-2)
     np.testing.assert_allclose(
         found, [airy(1.5 + b, 800.0, w) for w, b in zip(WAVES, slope, strict=True)], atol=1e-12
     )
-
-
-def test_the_tail_absorbs_as_beer_and_lambert_say() -> None:
-    """A film matched to both sides lets exp(-4 pi k d / lambda) through, k falling by e in the tail's width."""
-    matched = Stack(
-        inside=Medium(n=1.5), layers=(Layer(medium=Medium(n=1.5), thickness_nm=2000.0),), outside=Medium(n=1.5)
-    )
-    wave = np.array([300.0, 350.0, 400.0, 450.0])
-    acting = effects("film_absorption_tail", extinction=1e-3, tail_nm=50.0)
-    T = measure(lambda nm: acting.rows(resolve(matched, nm)), "T", wave, [0.0])[:, 0]
-    k = 1e-3 * np.array([1.0, 1.0, math.exp(-1.0), math.exp(-2.0)])
-    np.testing.assert_allclose(T, np.exp(-4.0 * np.pi * k * 2000.0 / wave), rtol=1e-6)
 
 
 def test_the_rough_film_is_debye_wallers_and_excludes_the_mixed_layer() -> None:
@@ -409,8 +401,8 @@ def test_a_missing_oxide_is_the_stack_that_has_it(computation: FilmComputation) 
     """Polymer on bare silicon with 1.5 nm of SiO2 below is the polymer on its native oxide, bit for bit."""
     words = {"thickness_nm": 1.5, "material": "SiO2", "face": "inner"}
     bare = Stack(inside=SI, layers=(POLYMER,), outside=AIR)
-    assert FilmMissingLayer(**words).stack(bare) == FILM
-    above = FilmMissingLayer(thickness_nm=2.0, material="organic", face="outer").stack(bare)
+    assert str(FilmMissingLayer(**words).stack(with_film(bare))) == str(FILM)
+    above = FilmMissingLayer(thickness_nm=2.0, material="organic", face="outer").stack(with_film(bare))
     assert [str(layer.medium) for layer in above.layers] == [str(POLYMER.medium), "1.5"]
     applied = AppliedEffect(name="film_missing_layer", parameters=words)
     for quantity in ("psi", "delta"):
@@ -434,19 +426,6 @@ def test_fringes_of_the_substrate_are_those_of_a_coherent_plate() -> None:
     moved = FilmSubstrateFringes(coherent_share=1.0, shift_nm=40.0).stacks(plate)[1][1]
     assert moved.layers[0].thickness_nm == 20_040.0
     assert FilmSubstrateFringes(coherent_share=0.5, shift_nm=0.0).stacks(FILM) == ((1.0, FILM),)
-
-
-def test_a_baseline_is_added_in_the_unit_of_the_reading() -> None:
-    """Per cent to R and T, degrees to psi and delta, which goes on after 360 at 0; each off by itself."""
-    effect = FilmBaselineOffset(offset_percent=1.0, offset_deg=-0.5)
-    assert issubclass(FilmBaselineOffset, CurveEffect)
-    value, axis = np.array([[0.2]]), np.array([1.0])
-    for quantity, want in (("R", 0.21), ("T", 0.21), ("psi", -0.3), ("delta", 359.7)):
-        found = effect.curve(value, Reading(quantity, axis, axis, "u"))  # type: ignore[arg-type]  # its four words
-        assert float(found[0, 0]) == pytest.approx(want, abs=1e-12)
-    off = FilmBaselineOffset.at_off()
-    assert off.curve(value, Reading("R", axis, axis, "u")) is value
-    assert off.curve(value, Reading("psi", axis, axis, "u")) is value
 
 
 # asked of the worker
