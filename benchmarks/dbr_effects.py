@@ -1,9 +1,11 @@
 """What the catalogue's effects on a DBR do to a module's image, what they cost, and where they are approximate.
 
-    python benchmarks/dbr_effects.py [--histories N]
+    python benchmarks/dbr_effects.py [--histories N] [--seeds N] [--derivatives]
 
 Module: 5 x 5 chips of the paper's model, D 180, W 40, S 500, T 20 um, 5.5 pairs, 60 x 60 pixels of 40 um. The twin's
-derivative is held against differences of Monte Carlo with common random numbers, in standard errors of the latter.
+derivative is held against differences of Monte Carlo with common random numbers: the slope of Monte Carlo over the
+twin's mean of several seeds of exits (131,072 histories each). Both have noise that is common to all pixels, so the
+slope's errors are told by whole runs: one by the groups of Monte Carlo, one by the seeds of exits.
 """
 
 from __future__ import annotations
@@ -11,7 +13,7 @@ from __future__ import annotations
 import argparse
 from dataclasses import replace
 from time import perf_counter
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,35 +78,58 @@ def monte_carlo(scene: Scene, histories: int) -> Real:
     return _replicas([solved(scene, tally).field.grid], [Shot(scene, CAMERA)], lambda: None)[:, 0]
 
 
-def derivatives(histories: int) -> None:
-    """Sizes, costs, and the twin's derivatives beside Monte Carlo's."""
+def supply_of(seed: int) -> Supply:
+    """Exits of 131,072 histories of this seed."""
     source = ExitSource()
-    supply = Supply(lambda scene: source.exits(scene, 1, 4, notes=True))
+    return Supply(lambda scene: source.exits(scene, seed, 4, notes=True))
+
+
+class Slope(NamedTuple):
+    """How far one derivative is another, the standard errors of that by the noise of each, and what else differs."""
+
+    value: float
+    traced_error: float
+    exits_error: float
+    chi2: float
+    """Of a block, for a slope of 1; 1 where noise is all."""
+
+
+def slope_of(traced: Real, predicted: Real) -> Slope:
+    """Of Monte Carlo's difference (group, block) over the twin's (seed, block), blocks weighted by their noise."""
+    mean, twin_mean = traced.mean(axis=0), predicted.mean(axis=0)
+    variance = traced.var(axis=0, ddof=1) / len(traced)
+    weight = twin_mean / variance
+    groups, seeds = (one @ weight / (twin_mean @ weight) for one in (traced, predicted))
+    errors = [float(one.std(ddof=1) / np.sqrt(len(one))) for one in (groups, seeds)]
+    variance = variance + predicted.var(axis=0, ddof=1) / len(predicted)
+    chi2 = float(np.mean((mean - twin_mean) ** 2 / variance))
+    return Slope(float(groups.mean()), errors[0], errors[1], chi2)
+
+
+def derivatives(histories: int, seeds: int) -> None:
+    """Sizes, costs, and the twin's derivatives beside Monte Carlo's."""
+    supplies = [supply_of(seed) for seed in range(1, 1 + seeds)]
     base = module()
-    flat = twin(base, supply, base)
+    flat = np.mean([twin(base, supply, base) for supply in supplies], axis=0)
     start_s = perf_counter()
     for _ in range(5):
-        flat = twin(base, supply, base)
+        twin(base, supplies[0], base)
     base_s = (perf_counter() - start_s) / 5
     print(f"twin's image of the base model: {1e3 * base_s:.0f} ms")
-    print(f"{'effect':24} {'at':>7} {'change %':>9} {'cost':>6} {'chi2/block':>11} {'slope':>14}")
+    errors = "+- Monte Carlo's, +- exits'"
+    print(f"{'effect':24} {'at':>7} {'change %':>9} {'cost':>6} {'chi2/block':>11}   slope {errors}")
     for name, parameter, at, step in CASES:
         scenes = [module(effects_of(name, **{parameter: at + sign * step})) for sign in (1.0, -1.0)]
-        up, down = (twin(scene, supply, base) for scene in scenes)
+        images = np.array([[twin(scene, supply, base) for scene in scenes] for supply in supplies])
         start_s = perf_counter()
-        twin(scenes[0], supply, base)
+        twin(scenes[0], supplies[0], base)
         cost = (perf_counter() - start_s) / base_s
+        predicted = images[:, 0] - images[:, 1]
         difference = monte_carlo(scenes[0], histories) - monte_carlo(scenes[1], histories)
-        mean, error = _blocks(difference).mean(axis=0), _blocks(difference).std(axis=0, ddof=1) / np.sqrt(GROUPS)
-        predicted = _blocks(up - down)
-        chi2 = float(np.mean(((mean - predicted) / error) ** 2))
-        weight = predicted / error**2
-        slope, spread = (
-            float((weight * mean).sum() / (weight * predicted).sum()),
-            1.0 / np.sqrt((weight * predicted).sum()),
-        )
-        rms = 100.0 * float(np.sqrt(np.mean((up - down) ** 2)) / flat.mean())
-        print(f"{name:24} {at:7g} {rms:9.3f} {cost:6.2f} {chi2:11.2f} {slope:7.3f} +- {spread:.3f}")
+        slope = slope_of(_blocks(difference), _blocks(predicted))
+        rms = 100.0 * float(np.sqrt(np.mean(predicted.mean(axis=0) ** 2)) / flat.mean())
+        told = f"{slope.value:.3f} +- {slope.traced_error:.3f} +- {slope.exits_error:.3f}"
+        print(f"{name:24} {at:7g} {rms:9.3f} {cost:6.2f} {slope.chi2:11.2f}   {told}", flush=True)
 
 
 def _blocks(image: Real) -> Real:
@@ -115,9 +140,7 @@ def _blocks(image: Real) -> Real:
 
 def films_of_a_gradient() -> None:
     """By how much fewer films than columns err."""
-    source = ExitSource()
-    supply = Supply(lambda scene: source.exits(scene, 1, 4, notes=True))
-    base = module()
+    supply, base = supply_of(1), module()
     flat = twin(base, supply, base)
     print("\ngradient: error of the image as a share of the effect, 5 films being exact for 5 columns")
     for per_mm in (0.01, 0.05):
@@ -168,10 +191,13 @@ def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--histories", type=int, default=400_000, help="of each run of Monte Carlo")
-    histories = parser.parse_args().histories
-    derivatives(histories)
-    films_of_a_gradient()
-    lobes(histories)
+    parser.add_argument("--seeds", type=int, default=8, help="of exits, for the error of the twin's derivatives")
+    parser.add_argument("--derivatives", action="store_true", help="print these alone")
+    given = parser.parse_args()
+    derivatives(given.histories, given.seeds)
+    if not given.derivatives:
+        films_of_a_gradient()
+        lobes(given.histories)
 
 
 if __name__ == "__main__":

@@ -197,11 +197,11 @@ def page(specs: tuple[EffectSpec, ...], facts: Mapping[str, Document], maps: Seq
     yield "# Effects"
     yield (
         f"The {len(specs)} effects of the catalogue, by stage: stages act in the order of this page, effects of one"
-        " stage in that of the model file, but for a few that must come first or last in theirs (dispersion first;"
-        " mixing of a film's layers, the sensor's nonlinearity and saturation last). Each is a file of"
-        " [containers/effects](../containers/effects), acts on what its stage may change and on nothing else, and at"
-        " its off value, where it has one, gives back the very same model. How well each is predicted stands in"
-        " [figures](figures.md#effects); `luxloop effects new NAME --stage STAGE` writes one of your own."
+        " stage in that of the model file, but for a few that must come first or last in theirs (dispersion and"
+        " a film's missing layer first; mixing of a film's layers, the sensor's nonlinearity and saturation last)."
+        " Each is a file of [containers/effects](../containers/effects), acts on what its stage may change and on"
+        " nothing else, and at its off value, where it has one, gives back the very same model. How well each is"
+        " predicted stands in [figures](figures.md#effects); `luxloop effects new NAME --stage STAGE` writes one of your own."
     )
     yield (
         "Pictures: what the effect does to a 5 x 5 array (D 180, W 40, S 500, T 20 um, 2.5 pairs, model `paper`) or"
@@ -209,7 +209,7 @@ def page(specs: tuple[EffectSpec, ...], facts: Mapping[str, Document], maps: Seq
         " `luxloop effects show NAME` draws it larger, with values of your choice. The rms has what is left of noise"
         " in it. This page is written by `python -m benchmarks.effects_gallery`."
     )
-    yield from _alike(maps)
+    yield from _alike(specs, maps)
     for stage, title in STAGES.items():
         yield f"## {title}"
         for spec in specs:
@@ -217,7 +217,7 @@ def page(specs: tuple[EffectSpec, ...], facts: Mapping[str, Document], maps: Seq
                 yield from _effect(spec, facts.get(spec.name, {}), maps)
 
 
-def _alike(maps: Sequence[Document]) -> Iterator[str]:
+def _alike(specs: Sequence[EffectSpec], maps: Sequence[Document]) -> Iterator[str]:
     if not maps:
         return
     yield "## Easily mistaken for each other"
@@ -239,6 +239,12 @@ def _alike(maps: Sequence[Document]) -> Iterator[str]:
         yield "\n".join((head, "|---|---|---|", *rows))
         if one["imitated"]:
             yield f"Wholly imitated by calibration: {', '.join(map(_link, one['imitated']))}."
+    left = [spec for spec in specs if all(spec.name not in one["names"] for one in maps)]
+    discrete, idle = (", ".join(_link(one.name) for one in left if one.discrete is kind) for kind in (True, False))
+    yield (
+        f"In neither table: {discrete}, which have no slope at off (refits test them); {idle}, which change nothing"
+        " here, where no substrate is a thick layer and no pixel is near full scale."
+    )
 
 
 def _others(one: Document, name: str) -> str:

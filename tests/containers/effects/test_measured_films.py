@@ -204,7 +204,7 @@ def mixed(a: Complex, b: Complex, share_b: float) -> Complex:
 def test_the_mixed_layer_takes_what_a_thin_neighbour_has(
     thickness_nm: float, left_nm: tuple[float, float], share: float
 ) -> None:
-    """Between a film and 1.5 nm of oxide: half from each, then all the oxide and the rest of the film; none is lost."""
+    """Between a film and 1.5 nm of oxide: half of each, then all the oxide and the rest of the film; none is lost."""
     stack = with_film(Stack(inside=SI, layers=(OXIDE, FILM), outside=AIR))
     rows = FilmInterlayer(thickness_nm=thickness_nm, face="inner").rows(resolve(stack, WAVE))
     np.testing.assert_allclose(rows.thickness_nm, [left_nm[0], thickness_nm, left_nm[1]], atol=1e-12)
