@@ -201,7 +201,8 @@ def page(specs: tuple[EffectSpec, ...], facts: Mapping[str, Document], maps: Seq
         " a film's missing layer first; mixing of a film's layers, the sensor's nonlinearity and saturation last)."
         " Each is a file of [containers/effects](../containers/effects), acts on what its stage may change and on"
         " nothing else, and at its off value, where it has one, gives back the very same model. How well each is"
-        " predicted stands in [figures](figures.md#effects); `luxloop effects new NAME --stage STAGE` writes one of your own."
+        " predicted stands in [figures](figures.md#effects); `luxloop effects new NAME --stage STAGE` writes one of"
+        " your own."
     )
     yield (
         "Pictures: what the effect does to a 5 x 5 array (D 180, W 40, S 500, T 20 um, 2.5 pairs, model `paper`) or"

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Literal, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from containers.effect import (
     MAY_CHANGE,
@@ -26,7 +26,7 @@ from containers.effect import (
     changed,
 )
 from containers.scene import Cell, Scene
-from containers.stack import StackRows, films_in, with_film
+from containers.stack import StackRows, films_in, resolve, with_film
 from luxloop.camera import Camera
 from luxloop.errors import InputError
 from luxloop.stack import Stack
@@ -157,6 +157,19 @@ class Effects:
             f"{one.name} has no influence: {why}" for one in self.all if (why := _idle(one, scene, images))
         ]
 
+    def idle_on(self, stack: Stack, wavelength_nm: ArrayLike) -> list[str]:
+        """A sentence for each effect on films that leaves a measured one as it is."""
+        film = with_film(stack)
+        rows, why = resolve(film, wavelength_nm), "at these values it leaves this sample as it is"
+        if not any(films_in(film)):
+            why += ", which has no coherent layer, hence no film"
+        return [
+            f"{one.name} has no influence: {why}"
+            for one in self._of("film")
+            if guarded(one, one.stacks, film, kind=tuple) == ((1.0, film),)
+            and _same_rows(guarded(one, one.rows, rows, kind=StackRows), rows)
+        ]
+
     def _spot(self, stack: Stack, of: Literal["dbr", "film"]) -> tuple[tuple[float, Stack], ...]:
         spot: tuple[tuple[float, Stack], ...] = ((1.0, stack),)
         for effect in self._of(of):
@@ -187,6 +200,11 @@ def _idle(effect: Effect, scene: Scene, images: bool) -> str:
         endless = "; an endless array has no edge, no middle and no single chip" * isinstance(scene.layout, Cell)
         return f"at these values it leaves this module as it is{endless}"
     return ""
+
+
+def _same_rows(one: StackRows, other: StackRows) -> bool:
+    pairs = ((one.index, other.index), (one.thickness_nm, other.thickness_nm), (one.roughness_nm, other.roughness_nm))
+    return one is other or all(np.array_equal(a, b) for a, b in pairs)
 
 
 def guarded(effect: Effect, hook: Callable[..., Data], *data: object, kind: type) -> Data:

@@ -69,6 +69,8 @@ class FilmComputation:
         else:
             result, arrays = self._table(request, spot[0][1])
         idle = [] if request.dbr_pairs is None else effects.without_influence(request.dbr_pairs)
+        if isinstance(request, FilmMeasurementRequest) and request.stack is not None:
+            idle = effects.idle_on(request.stack, request.wavelength_nm)
         return (result | {"warnings": idle} if idle else result), arrays
 
     def _table(self, request: FilmTableRequest, stack: Stack) -> tuple[dict[str, Any], Mapping[str, Array]]:

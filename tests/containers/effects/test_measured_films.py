@@ -6,6 +6,7 @@ import math
 import warnings
 from collections.abc import Callable
 from itertools import permutations
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,9 +23,13 @@ from containers.effects.film_interlayer import FilmInterlayer
 from containers.effects.film_missing_layer import FilmMissingLayer
 from containers.materials import material
 from containers.stack import films_in, resolve, with_film
+from containers.thin_film.database import open_database
 from containers.thin_film.film_measurement import measure
+from containers.thin_film.worker import DATABASE, FilmComputation
+from luxloop.computation import Progress
 from luxloop.effect import AppliedEffect
 from luxloop.errors import InputError
+from luxloop.film import FilmMeasurementRequest
 from luxloop.stack import Layer, Medium, Stack
 
 Real = NDArray[np.float64]
@@ -136,6 +141,23 @@ def test_a_plate_without_a_film_has_none_when_it_interferes() -> None:
         assert [layer.medium.n for layer in stack.layers] == [1.5, 1.5]
         assert not any(films_in(stack))
         np.testing.assert_array_equal(acting.rows(resolve(stack, WAVE)).index[:, 1:-1], 1.5)
+
+
+def test_an_effect_that_finds_no_film_says_so(tmp_path: Path) -> None:
+    """Asked of the worker: dispersion of a bare plate is a sentence in the answer, of a coated one none."""
+    applied = (AppliedEffect(name="film_dispersion", parameters={"rise": 0.1}),)
+    asked = FilmMeasurementRequest(
+        stack=PLATE.model_copy(update={"layers": (GLASS,)}),
+        quantity="R", wavelength_nm=(500.0,), aoi_deg=(0.0,), effects=applied,
+    )  # fmt: skip
+    with open_database(tmp_path / DATABASE) as database:
+        worker = FilmComputation(database)
+        bare, _ = worker.compute(asked.model_dump(mode="json"), Progress())
+        coated, _ = worker.compute(asked.model_copy(update={"stack": PLATE}).model_dump(mode="json"), Progress())
+    (said,) = bare["warnings"]
+    assert said.startswith("film_dispersion has no influence: ")
+    assert said.endswith("no coherent layer, hence no film")
+    assert "warnings" not in coated
 
 
 class Recoats(StackEffect):
