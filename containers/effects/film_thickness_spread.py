@@ -9,14 +9,14 @@ from containers.stack import Film, with_layers
 from luxloop.errors import InputError
 from luxloop.stack import Layer, Stack
 
-SIGMAS = 6.0
-"""How far the distribution is followed, in standard deviations."""
+SIGMAS = 5.0
+"""How far the distribution is followed, in standard deviations: 6e-7 of it lies beyond."""
 ROOM = 6.0
 """The sum follows turns faster by so much, in rad per standard deviation, than those that count: exp(-18) is left."""
 HARMONIC_NM = 2.0
 """By so much the film grows while the fastest harmonic of its fringes that counts turns by 1 rad: the fifth of
 n = 2.5 at 300 nm, 4 pi n 5 / 300 nm = 0.5 rad/nm. Later ones err: 1e-4 of R on n = 5 + i below, 1e-3 on a metal."""
-MOST = 801
+MOST = 661
 
 
 class FilmThicknessSpread(StackEffect):
