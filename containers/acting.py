@@ -83,6 +83,11 @@ class Effects:
             after = guarded(effect, effect.rows, rows, kind=StackRows)
             if after is not rows and not np.all(np.isfinite(after.index) & (after.index.imag >= 0.0)):
                 raise InputError(f"effects.{effect.name}", "an index that is none", "finite n, and k from 0 on")
+            if rows.film.any() and not after.film.any():
+                allowed = "rows with the film they were given"
+                raise InputError(
+                    f"effects.{effect.name}", "rows without it", allowed, "dataclasses.replace(rows, ...)"
+                )
             rows = after
         return rows
 

@@ -122,12 +122,8 @@ def check(applied: AppliedEffect, spec: EffectSpec) -> None:
     known = {parameter.name: parameter for parameter in spec.parameters}
     for name in applied.parameters:
         if name not in known:
-            raise InputError(
-                f"{where}.{name}",
-                applied.parameters[name],
-                " or ".join(known) or "no parameter",
-                did_you_mean(name, known),
-            )
+            allowed = " or ".join(known) or "no parameter"
+            raise InputError(f"{where}.{name}", applied.parameters[name], allowed, did_you_mean(name, known))
     for name, parameter in known.items():
         if name not in applied.parameters:
             raise InputError(f"{where}.{name}", None, parameter.allowed, "the parameter is missing")

@@ -22,7 +22,7 @@ from containers.effects.film_baseline_offset import FilmBaselineOffset
 from containers.effects.film_interlayer import FilmInterlayer
 from containers.effects.film_missing_layer import FilmMissingLayer
 from containers.materials import material
-from containers.stack import films_in, resolve, with_film
+from containers.stack import StackRows, films_in, resolve, with_film
 from containers.thin_film.database import open_database
 from containers.thin_film.film_measurement import measure
 from containers.thin_film.worker import DATABASE, FilmComputation
@@ -172,10 +172,24 @@ class Recoats(StackEffect):
         return stack.model_copy(update={"layers": tuple(Layer(**layer.model_dump()) for layer in stack.layers)})
 
 
+class Reckons(StackEffect):
+    """A user's effect that reckons rows anew, of another stack."""
+
+    name = "reckons"
+    of = ("film",)
+    formula = reference = "-"
+
+    def rows(self, rows: StackRows) -> StackRows:
+        """Those of the plate as it is written."""
+        return resolve(PLATE, rows.wavelength_nm)
+
+
 def test_an_effect_that_loses_the_film_is_refused() -> None:
     """Those after it would not know what to act on: it is named, with what to do."""
     with pytest.raises(InputError, match=r"effects\.recoats.*model_copy"):
         Effects((Recoats(),)).film(PLATE)
+    with pytest.raises(InputError, match=r"effects\.reckons.*replace"):
+        Effects((Reckons(),)).rows(resolve(with_film(PLATE), WAVE))
 
 
 # layers at its faces
