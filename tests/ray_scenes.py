@@ -15,7 +15,7 @@ from containers.ray_tracing.kernel import EVENT_OF_EXIT, EXIT, WEIGHT_OF_EXIT, e
 from containers.ray_tracing.packing import emission_arrays, scene_arrays
 from containers.ray_tracing.sobol import DIRECTIONS
 from containers.ray_tracing.tally import Tally
-from containers.scene import Cell, Chip, Emission, Face, Scene, lambertian_receiver
+from containers.scene import Array, Cell, Chip, Emission, Face, Scene, lambertian_receiver
 from containers.thin_film.surface import film_bsdf
 from tests.films import film
 
@@ -151,6 +151,16 @@ def lambert_up(count: int, seed: int = 0) -> Real:
     """Directions (count, 3) by Lambert's law about +z."""
     u, v = np.random.default_rng(seed).random((2, count))
     return np.column_stack([np.sqrt(u) * np.cos(2 * np.pi * v), np.sqrt(u) * np.sin(2 * np.pi * v), np.sqrt(1.0 - u)])
+
+
+def within_edges(tally: Tally, of: Scene) -> Real:
+    """(group, y, x), bins of a walled module without those of the pad beyond its walls, which stand between bins."""
+    layout, step = of.layout, tally.box.step_um
+    assert isinstance(layout, Array)
+    bins = tally.cell_bins()
+    rows, columns = (round(2.0 * half / step) for half in (layout.half_y_um, layout.half_x_um))
+    row, column = (bins.shape[1] - rows) // 2, (bins.shape[2] - columns) // 2
+    return bins[:, row : row + rows, column : column + columns]
 
 
 def mean_and_error(of_groups: Real) -> tuple[Real, Real]:

@@ -15,7 +15,10 @@ class EdgeWalls(SceneEffect):
     name = "edge_walls"
     stage = "geometry"
     twin = False
-    formula = "light that reaches an edge is reflected with r, the rest is absorbed"
+    formula = (
+        "light that reaches an edge is reflected with r, also inside the receiver's plate; the rest leaves the module, "
+        "as all does where the edge is open (r = 0)"
+    )
     reference = "frame of the module; aluminium up to 0.9"
 
     reflectance: float = parameter("of the walls", unit="", lower=0.0, upper=0.9, off=0.0, one_sided=True)

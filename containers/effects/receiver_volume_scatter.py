@@ -14,7 +14,10 @@ class ReceiverVolumeScatter(SceneEffect):
 
     name = "receiver_volume_scatter"
     stage = "volume"
-    formula = "E -> (1 - a) E + a E * K, K a Gaussian of standard deviation l along each axis"
+    formula = (
+        "E -> (1 - a) E + a (w E) * K, K a Gaussian of standard deviation l along each axis, w 1 within the module, else "
+        "0: the plate ends at the edge, light leaves it there, or walls reflect it"
+    )
     reference = "lateral spread in diffusing plates (Opt. Express 24, 11727, 2016; 25, 22575, 2017); judged ranges"
     conserves = ("energy",)
 

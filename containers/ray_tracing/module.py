@@ -57,14 +57,11 @@ def walk_module(
         elif what == _SUBSTRATE:
             if scene.numbers[of.LEAK_SHARE] > 0.0 and _leaks(scene, ray, stream):
                 recorded = 1.0
-                if _stays_beyond(scene, ray):
-                    if not scene.flags[of.WALLS]:
-                        _edge(scene, wave, ray, stream, sinks, _EDGE_X)
-                    sinks.ledger[of.EDGE_END] += weight
+                if not _comes_back(scene, wave, ray, sinks):
                     return LOST
                 continue
             surfaces = scene.surfaces
-            recorded = _record_fan(scene, ray, stream, sinks, fan)
+            recorded = _record_fan(scene, wave, ray, stream, sinks, fan)
             fate, dx, dy, dz = scatter(surfaces, of.SUBSTRATE, wave, 1.0, 1.0, dx, dy, dz, stream, SUBSTRATE_KIND)
             follow_up(stream, SUBSTRATE_KIND)
             if fate != REFLECTED:
@@ -108,25 +105,31 @@ def _leaks(scene: SceneArrays, ray: Real, stream: Stream) -> bool:
     return True
 
 
-@inlined_kernel
-def _stays_beyond(scene: SceneArrays, ray: Real) -> bool:
-    """Whether a ray that comes out of the substrate beyond the edge of a finite module cannot come back into it.
+@borrowing_kernel
+def _comes_back(scene: SceneArrays, wave: int, ray: Real, sinks: Sinks) -> bool:
+    """Whether a ray that comes out of the substrate may still be recorded; what is beyond the edge may not.
 
-    The substrate goes on beyond an open edge; the receiver does not. Behind a wall all light is lost.
+    The substrate goes on beyond the edge, the receiver does not. A wall lets through what it does not reflect, from
+    either side: it takes r of a ray that comes out behind it.
     """
     numbers, x, y = scene.numbers, ray[of.X], ray[of.Y]
     if abs(x) <= numbers[of.HALF_X] and abs(y) <= numbers[of.HALF_Y]:
-        return False
-    if scene.flags[of.WALLS]:
         return True
+    kept = 1.0 - _walls_albedo(scene, wave)
+    sinks.ledger[of.EDGE_END] += ray[of.WEIGHT] * (1.0 - kept)
+    ray[of.WEIGHT] *= kept
     dx, dy, distance = ray[of.DX], ray[of.DY], numbers[of.DISTANCE]
     rise = ray[of.DZ] - distance * (numbers[of.TILT_X] * dx + numbers[of.TILT_Y] * dy)
     path = distance * (1.0 + numbers[of.TILT_X] * x + numbers[of.TILT_Y] * y) / rise if rise > 0.0 else inf
-    return bool(abs(x + dx * path) > numbers[of.HALF_X] or abs(y + dy * path) > numbers[of.HALF_Y])
+    if abs(x + dx * path) <= numbers[of.HALF_X] and abs(y + dy * path) <= numbers[of.HALF_Y]:
+        return True
+    _record_beyond(scene, ray, sinks, ray[of.WEIGHT] * kept)
+    sinks.ledger[of.EDGE_END] += ray[of.WEIGHT]
+    return False
 
 
 @borrowing_kernel
-def _record_fan(scene: SceneArrays, ray: Real, stream: Stream, sinks: Sinks, fan: int) -> float:
+def _record_fan(scene: SceneArrays, wave: int, ray: Real, stream: Stream, sinks: Sinks, fan: int) -> float:
     """Record what first light would leave on the receiver in all directions of a fan but the one that it takes.
 
     Where it takes its draw (u, v) of the substrate's lobe, the others are those of a lattice shifted by it,
@@ -149,7 +152,7 @@ def _record_fan(scene: SceneArrays, ray: Real, stream: Stream, sinks: Sinks, fan
         what, path = _next(scene, ray)
         if what == _RECEIVER:
             ray[of.X], ray[of.Y] = x + path * ray[of.DX], y + path * ray[of.DY]
-            record_arrival(scene, ray, stream, sinks, weight)
+            record_arrival(scene, wave, ray, stream, sinks, weight)
             ray[of.X], ray[of.Y] = x, y
     ray[of.Z], ray[of.DX], ray[of.DY], ray[of.DZ] = z, dx, dy, dz
     return 1.0 / fan
@@ -264,19 +267,10 @@ def _enter(scene: SceneArrays, wave: int, ray: Real, stream: Stream, face: int) 
 
 @borrowing_kernel
 def _edge(scene: SceneArrays, wave: int, ray: Real, stream: Stream, sinks: Sinks, what: int) -> bool:
-    """Reflect a ray at a wall at the module's edge; False where it is lost there.
-
-    At an open edge the place where it would have met the receiver's plane is still recorded: the map goes on smoothly
-    beyond the edge, which a low-pass filter needs; what lies beyond belongs to no result.
-    """
+    """Reflect a ray at a wall at the module's edge; False where it is lost there, and recorded beyond."""
     dx, dy, dz = ray[of.DX], ray[of.DY], ray[of.DZ]
     if not scene.flags[of.WALLS]:
-        distance, tilt_x, tilt_y = scene.numbers[of.DISTANCE], scene.numbers[of.TILT_X], scene.numbers[of.TILT_Y]
-        rise = dz - distance * (tilt_x * dx + tilt_y * dy)
-        if rise > 0.0:
-            path = (distance * (1.0 + tilt_x * ray[of.X] + tilt_y * ray[of.Y]) - ray[of.Z]) / rise
-            later = 0 if ray[of.EVENT] < of.AFTER_RECEIVER else 1
-            _record(sinks, later, ray[of.X] + dx * path, ray[of.Y] + dy * path, ray[of.WEIGHT])
+        _record_beyond(scene, ray, sinks, ray[of.WEIGHT])
         return False
     if what == _EDGE_X:
         sign = 1.0 if dx > 0.0 else -1.0
@@ -289,8 +283,35 @@ def _edge(scene: SceneArrays, wave: int, ray: Real, stream: Stream, sinks: Sinks
         fate, dz, dx, out = scatter(scene.surfaces, of.EDGE, wave, 1.0, 1.0, dz, dx, -dy * sign, stream, EDGE_KIND)
         dy = -out * sign
     follow_up(stream, EDGE_KIND)
+    if fate != REFLECTED:
+        _record_beyond(scene, ray, sinks, ray[of.WEIGHT] * (1.0 + _walls_albedo(scene, wave)))
+        return False
     ray[of.DX], ray[of.DY], ray[of.DZ] = dx, dy, dz
-    return fate == REFLECTED
+    return True
+
+
+@inlined_kernel
+def _record_beyond(scene: SceneArrays, ray: Real, sinks: Sinks, weight: float) -> None:
+    """Record where a ray that is lost beyond the edge would have met the receiver's plane.
+
+    The map then goes on smoothly, which a low-pass filter needs; what lies beyond the edge belongs to no result. The
+    plate ends at the edge: it spreads what arrives within the module only.
+    """
+    numbers, dx, dy = scene.numbers, ray[of.DX], ray[of.DY]
+    distance, tilt_x, tilt_y = numbers[of.DISTANCE], numbers[of.TILT_X], numbers[of.TILT_Y]
+    rise = ray[of.DZ] - distance * (tilt_x * dx + tilt_y * dy)
+    if rise <= 0.0:
+        return
+    path = (distance * (1.0 + tilt_x * ray[of.X] + tilt_y * ray[of.Y]) - ray[of.Z]) / rise
+    weight *= (1.0 - numbers[of.SPREAD_SHARE]) * recorded_share(scene, _incidence(scene, dx, dy, ray[of.DZ]))
+    later = 0 if ray[of.EVENT] < of.AFTER_RECEIVER else 1
+    _record(sinks, later, ray[of.X] + dx * path, ray[of.Y] + dy * path, weight)
+
+
+@inlined_kernel
+def _walls_albedo(scene: SceneArrays, wave: int) -> float:
+    """Reflectance of the walls at the module's edge; an open edge has none."""
+    return float(albedo(scene.surfaces, of.EDGE, wave, 1.0)) if scene.flags[of.WALLS] else 0.0
 
 
 @inlined_kernel
@@ -320,14 +341,14 @@ def receive(
         ray[of.Y] -= numbers[of.SPACING] * floor(ray[of.Y] / numbers[of.SPACING] + 0.5)
     else:
         ray[of.Z] = numbers[of.DISTANCE] * (1.0 + numbers[of.TILT_X] * ray[of.X] + numbers[of.TILT_Y] * ray[of.Y])
-    record_arrival(scene, ray, stream, sinks, ray[of.WEIGHT] * recorded)
+    record_arrival(scene, wave, ray, stream, sinks, ray[of.WEIGHT] * recorded)
     ray[of.EVENT] = of.AFTER_RECEIVER
     tilted = numbers[of.TILT_X] != 0.0 or numbers[of.TILT_Y] != 0.0
     return _send_back(scene, wave, ray, stream, sinks, survival, tilted)
 
 
 @inlined_kernel
-def record_arrival(scene: SceneArrays, ray: Real, stream: Stream, sinks: Sinks, weight: float) -> None:
+def record_arrival(scene: SceneArrays, wave: int, ray: Real, stream: Stream, sinks: Sinks, weight: float) -> None:
     """Record that a weight arrives where the ray meets the receiver: its optical event, its direction, its bin."""
     numbers = scene.numbers
     x, y, dx, dy, dz = ray[of.X], ray[of.Y], ray[of.DX], ray[of.DY], ray[of.DZ]
@@ -343,23 +364,53 @@ def record_arrival(scene: SceneArrays, ray: Real, stream: Stream, sinks: Sinks, 
             shift = numbers[of.SPREAD_SIGMA] * sqrt(2.0 * minus_log(b))
             across, along = cos_sin_turn(c)
             x, y = x + shift * across, y + shift * along
-            if scene.flags[of.WALLS]:
-                x, y = _between_walls(x, numbers[of.HALF_X]), _between_walls(y, numbers[of.HALF_Y])
-    cosine = dz
-    if numbers[of.TILT_X] != 0.0 or numbers[of.TILT_Y] != 0.0:
-        slope_x, slope_y = numbers[of.DISTANCE] * numbers[of.TILT_X], numbers[of.DISTANCE] * numbers[of.TILT_Y]
-        cosine = (dz - slope_x * dx - slope_y * dy) / sqrt(1.0 + slope_x * slope_x + slope_y * slope_y)
+    weight *= recorded_share(scene, _incidence(scene, dx, dy, dz))
     if scene.flags[of.PERIODIC]:
         x -= numbers[of.SPACING] * floor(x / numbers[of.SPACING] + 0.5)
         y -= numbers[of.SPACING] * floor(y / numbers[of.SPACING] + 0.5)
-    _record(sinks, later, x, y, weight * recorded_share(scene, cosine))
+    if scene.flags[of.WALLS]:
+        _record_between_walls(scene, wave, sinks, later, x, y, weight)
+    else:
+        _record(sinks, later, x, y, weight)
 
 
 @inlined_kernel
-def _between_walls(x: float, half: float) -> float:
-    """A place in the plate, which ends at walls at +-half: what would be beyond one is where its mirror image is."""
+def _incidence(scene: SceneArrays, dx: float, dy: float, dz: float) -> float:
+    """Cosine of a direction to the receiver's normal."""
+    numbers = scene.numbers
+    slope_x, slope_y = numbers[of.DISTANCE] * numbers[of.TILT_X], numbers[of.DISTANCE] * numbers[of.TILT_Y]
+    if slope_x == 0.0 and slope_y == 0.0:
+        return dz
+    return (dz - slope_x * dx - slope_y * dy) / sqrt(1.0 + slope_x * slope_x + slope_y * slope_y)
+
+
+@borrowing_kernel
+def _record_between_walls(
+    scene: SceneArrays, wave: int, sinks: Sinks, later: int, x: float, y: float, weight: float
+) -> None:
+    """Record light in a plate that ends at walls: each sends back r of what reaches it there.
+
+    Beyond a wall the map goes on smoothly as r times its mirror image, and 1 - r^2 of what would have gone on: where r
+    is 0 that is an open edge, where it is 1 a mirror.
+    """
+    half_x, half_y, r = scene.numbers[of.HALF_X], scene.numbers[of.HALF_Y], _walls_albedo(scene, wave)
+    if abs(x) > half_x or abs(y) > half_y:
+        _record(sinks, later, x, y, weight * (1.0 - r * r))
+        x, walls_x = _between(x, half_x)
+        y, walls_y = _between(y, half_y)
+        weight *= r ** (walls_x + walls_y)
+    if weight > 0.0:
+        for i in range(-1, 2):
+            for j in range(-1, 2):
+                at_x, at_y = 2.0 * i * half_x + (-x if i else x), 2.0 * j * half_y + (-y if j else y)
+                _record(sinks, later, at_x, at_y, weight * r ** (abs(i) + abs(j)))
+
+
+@inlined_kernel
+def _between(x: float, half: float) -> tuple[float, float]:
+    """Where walls at +-half fold a place to, and how many of them it takes."""
     turns = (x + half) / (4.0 * half)
-    return float(half * (1.0 - abs(4.0 * (turns - floor(turns)) - 2.0)))
+    return half * (1.0 - abs(4.0 * (turns - floor(turns)) - 2.0)), abs(floor(2.0 * turns))
 
 
 @inlined_kernel

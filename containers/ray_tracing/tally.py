@@ -41,19 +41,21 @@ class Box:
     def of(cls, scene: Scene) -> Box:
         """Fine enough that the bins' window takes 2 % off the highest mode that is kept.
 
-        A module with open edges has a pad around it, where light is recorded that has crossed the edge; one with
-        walls ends at them, a whole number of bins from its centre.
+        A module has a pad around it, where the map goes on beyond its edge; walls stand between bins.
         """
         layout, height = scene.layout, scene.height_um
         if isinstance(layout, Array):
-            pad = 0.0 if layout.wall is not None else 2.0 * scene.distance_um
-            half_x, half_y = layout.half_x_um + pad, layout.half_y_um + pad
-            step = max(min(height / 8.0, layout.spacing_um / 32.0), 2.0 * max(half_x, half_y) / MOST_BINS)
+            pad = 2.0 * scene.distance_um
+            most = max(layout.half_x_um, layout.half_y_um) + pad
+            step = max(min(height / 8.0, layout.spacing_um / 32.0), 2.0 * most / MOST_BINS)
+            inner = 0.0 if layout.wall is None else pad  # what is a whole number of bins wide ends there
+            half_x, half_y = layout.half_x_um + pad - inner, layout.half_y_um + pad - inner
             step = half_x / _whole(half_x / step, half_y / step)
-            columns, rows = round(half_x / step), round(half_y / step)
+            beyond = int(np.ceil(inner / step - 1e-9))
+            columns, rows = round(half_x / step) + beyond, round(half_y / step) + beyond
             if scene.symmetric:
-                return cls(0.0, 0.0, step, rows, columns, folded=True, cell=pad == 0.0)
-            return cls(-half_x, -rows * step, step, 2 * rows, 2 * columns, folded=False, cell=pad == 0.0)
+                return cls(0.0, 0.0, step, rows, columns, folded=True, cell=False)
+            return cls(-columns * step, -rows * step, step, 2 * rows, 2 * columns, folded=False, cell=False)
         modes = mode_count(height, layout.spacing_um)
         bins = 128 if modes <= 8 else 256 if modes <= 24 else 512
         step = layout.spacing_um / bins

@@ -342,16 +342,13 @@ def named(name: str) -> Iterator[None]:
 
 def image_of(grid: Grid, shot: Shot) -> Real:
     """The irradiance (..., row, column) that a shot's pixels see of a map of what is traced."""
-    layout = shot.traced.layout
-    walled = isinstance(layout, Array) and layout.wall is not None
-    return shot.image(light_map(grid, shot, pad_um=0.0 if walled else None))
+    return shot.image(light_map(grid, shot))
 
 
-def light_map(grid: Grid, shot: Shot, pad_um: float | None = None) -> LightMap:
+def light_map(grid: Grid, shot: Shot) -> LightMap:
     """A map as far as the camera sees, PSF included (with glare: all of it), with eight samples per height.
 
-    `pad_um` is how far it is known beyond the module's edge (None: as a twin's); there it is its own mirror image if
-    it is known no further than the edge, for then a wall stands there, and else dark.
+    It is known up to two distances beyond the module's edge, and dark from there on.
     """
     layout, camera, distance = shot.scene.layout, shot.camera, shot.scene.distance_um
     if not isinstance(layout, Array):
@@ -359,9 +356,8 @@ def light_map(grid: Grid, shot: Shot, pad_um: float | None = None) -> LightMap:
     step = shot.scene.height_um / BINS_PER_HEIGHT
     reach = np.inf if camera.glare else _reach_um(camera) + 4.0 * step
     counts, dark = [], False
-    wholes = [half + (PAD * distance if pad_um is None else pad_um) for half in (layout.half_x_um, layout.half_y_um)]
-    for whole in wholes:
-        dark = dark or (whole <= reach and pad_um != 0.0)
+    for whole in (wholes := [half + PAD * distance for half in (layout.half_x_um, layout.half_y_um)]):
+        dark = dark or whole <= reach
         counts.append(int(np.ceil(min(whole, reach) / step)))
     x, y = ((np.arange(2 * count) + 0.5 - count) * step for count in counts)
     inside = (np.clip(at, -whole, whole) for at, whole in zip((x, y), wholes, strict=True))  # the last by a half step

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import ArrayLike, NDArray
+from scipy.special import ndtr
 
 from containers.acting import Effects
-from containers.bsdf import GaussianLobe, Lambertian, reciprocity_defect
+from containers.bsdf import GaussianLobe, Lambertian, Mirror, reciprocity_defect
 from containers.effect import SceneEffect
 from containers.effects.active_layer_depth import ActiveLayerDepth
 from containers.effects.chip_absorption import ChipAbsorption
@@ -26,17 +28,21 @@ from containers.effects.receiver_btdf import ReceiverBtdf
 from containers.effects.receiver_specular import ReceiverSpecular
 from containers.effects.receiver_tilt import ReceiverTilt
 from containers.effects.receiver_volume_scatter import ReceiverVolumeScatter
+from containers.effects.substrate_leak import SubstrateLeak
 from containers.effects.substrate_lobe import SubstrateLobe
 from containers.ray_tracing.arrays import PATH
 from containers.ray_tracing.kernel import WEIGHT_OF_EXIT
+from containers.ray_tracing.monte_carlo import MonteCarlo
 from containers.ray_tracing.packing import emission_arrays
 from containers.ray_tracing.tally import Tally
 from containers.scene import Array, Scene
 from luxloop.errors import InputError
-from tests.ray_scenes import N, black, exits_of, lambert_up, launched, scene
+from tests.ray_scenes import N, black, exits_of, lambert_up, launched, scene, within_edges
 
 Real = NDArray[np.float64]
 ANGLES = np.linspace(0.0, 1.5, 7)
+PLATE = ReceiverVolumeScatter(scatter_share=0.5, spread_um=120.0)
+LEAK = SubstrateLeak(leak_share=0.1, length_um=300.0)
 UP = np.array([0.0, 0.0, 1.0])
 
 
@@ -51,10 +57,13 @@ def lone(half_um: float = 1000.0, **changes: Any) -> Scene:
     return black(layout=layout, **changes)
 
 
-def moments(tally: Tally) -> tuple[float, Real, Real]:
-    """Sum, mean place (x, y) and variances of what was recorded, per history."""
-    bins = tally.cell_bins().sum(axis=0)
-    x0, x1, y0, y1 = tally.box.ends_um
+def moments(tally: Tally, walled: Scene | None = None) -> tuple[float, Real, Real]:
+    """Sum, mean place (x, y) and variances of what was recorded, per history; between walls of a scene that has some."""
+    bins, (x0, x1, y0, y1) = tally.cell_bins().sum(axis=0), tally.box.ends_um
+    if walled is not None:
+        bins, layout = within_edges(tally, walled).sum(axis=0), walled.layout
+        assert isinstance(layout, Array)
+        x0, x1, y0, y1 = -layout.half_x_um, layout.half_x_um, -layout.half_y_um, layout.half_y_um
     x, y = (a + (np.arange(n) + 0.5) * (b - a) / n for a, b, n in ((x0, x1, bins.shape[1]), (y0, y1, bins.shape[0])))
     total = bins.sum()
     along_x, along_y = bins.sum(axis=0) / total, bins.sum(axis=1) / total
@@ -234,8 +243,52 @@ def test_walls_send_back_their_share_and_cells_have_none() -> None:
     of = under(EdgeWalls(reflectance=0.5), lone(400.0))
     tally = launched(of, np.tile([100.0, 0.0, 100.0], (20_000, 1)), [0.99, 0.0, np.sqrt(1.0 - 0.99**2)])
     # 80 um up take 562 um along x: to the wall at 400, and 262 back
-    total, mean, _ = moments(tally)
+    total, mean, _ = moments(tally, of)
     assert total == pytest.approx(0.5, abs=0.012)
     assert mean[0] == pytest.approx(400.0 - (80.0 * 0.99 / np.sqrt(1.0 - 0.99**2) - 300.0), abs=of.height_um / 8.0)
     cell = scene()
     assert under(EdgeWalls(reflectance=0.5), cell) is cell
+
+
+@pytest.mark.parametrize("beside", [(), (PLATE,), (LEAK,), (PLATE, LEAK)], ids=["alone", "plate", "leak", "both"])
+def test_walls_that_reflect_nothing_are_an_open_edge(beside: tuple[SceneEffect, ...]) -> None:
+    """The limit of off, bit for bit, map and ledger, also beside other effects; bins of 10 um fit both."""
+    open_edge = Effects(beside).scene(scene(layout=Array.regular(3, 3, 320.0)))
+    black = replace(open_edge, layout=Array.regular(3, 3, 320.0, wall=Mirror(0.0)))
+    one, other = (MonteCarlo(of, 1).run_to(1024) for of in (open_edge, black))
+    np.testing.assert_array_equal(one.bins, other.bins)
+    np.testing.assert_array_equal(one.ledger, other.ledger)
+
+
+@pytest.mark.parametrize("reflectance", [0.0, 0.5, 0.9])
+def test_a_plate_between_walls_gets_back_r_of_its_light_at_each(reflectance: float) -> None:
+    """Even light from below, by sums over mirror images: r^n of what is spread over n walls."""
+    r, a, sd, half = reflectance, 0.6, 200.0, 250.0
+    one = replace(Array.regular(1, 1, 500.0, half, Mirror(r)), offset_um=np.full((1, 1, 2), 1e-3))  # not folded
+    of = under(ReceiverVolumeScatter(scatter_share=a, spread_um=sd), black(layout=one))
+    place = np.random.default_rng(1).uniform(-half, half, (200_000, 2))
+    tally = launched(of, np.column_stack([place, np.full(len(place), 36.0)]), UP)
+    found = within_edges(tally, of)[0]
+    x = (np.arange(found.shape[1]) + 0.5) / found.shape[1] * 2.0 * half - half
+    n = np.arange(-6, 7)[:, None]
+    along = np.sum(r ** np.abs(n) * (ndtr(((2 * n + 1) * half - x) / sd) - ndtr(((2 * n - 1) * half - x) / sd)), 0)
+    expected = len(place) / found.size * (1.0 - a + a * np.outer(along, along))
+    assert found.sum() == pytest.approx(expected.sum(), rel=2e-3)
+    assert np.sum((found - expected) ** 2 / expected) / found.size == pytest.approx(1.0, abs=0.25)
+
+
+def test_the_map_goes_on_smoothly_beyond_walls_of_any_reflectance() -> None:
+    """A Lambertian point and its images, each r as bright as the last: the same sum beside a wall and beyond it."""
+    r, half, at, height, rays = 0.4, 250.0, 100.0, 180.0 - 36.0, 400_000
+    one = replace(Array.regular(1, 1, 500.0, half, Mirror(r)), offset_um=np.full((1, 1, 2), 1e-3))  # not folded
+    tally = launched(black(layout=one), np.tile([at, 0.0, 36.0], (rays, 1)), lambert_up(rays))
+    bins, (x0, x1, y0, y1) = tally.cell_bins()[0], tally.box.ends_um
+    x, y = (a + (np.arange(n) + 0.5) * (b - a) / n for a, b, n in ((x0, x1, bins.shape[1]), (y0, y1, bins.shape[0])))
+    expected = np.zeros_like(bins)
+    for i, j in itertools.product((-1, 0, 1), repeat=2):
+        square = (x - 2 * i * half - (-1) ** i * at) ** 2 + (y - 2 * j * half)[:, None] ** 2
+        expected += r ** (abs(i) + abs(j)) * height**2 / (np.pi * (square + height**2) ** 2)
+    expected *= tally.box.step_um**2 * rays
+    for beside in ((x > 150.0) & (x < half), (x > half) & (x < 350.0)):
+        both = np.ix_(np.abs(y) < 100.0, beside)
+        assert bins[both].sum() / expected[both].sum() == pytest.approx(1.0, abs=0.015)

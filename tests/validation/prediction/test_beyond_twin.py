@@ -18,6 +18,7 @@ from luxloop.effect import AppliedEffect
 from luxloop.model import Fit, Model
 from luxloop.model_file import find_model
 from luxloop.ray import PredictionRequest
+from tests.ray_scenes import within_edges
 from tests.validation.workers import Workers
 from validation.dataset.manifest import Sample
 from validation.prediction import Anchored, Predictor, View
@@ -56,8 +57,9 @@ def counted(reflectance: float, seed: int) -> Real:
     """The light of rays that land in each pixel, in 1/mm2 per flux of a chip: a count, without camera and modes."""
     environment = find_model("paper").environment
     layout = replace(array_of(environment, SAMPLE.design, 1, 2, SAMPLE.half_um), wall=Mirror(reflectance))
-    tally = MonteCarlo(scene_of(environment, SAMPLE.design, None, layout), seed).run_to(blocks_of(HISTORIES))
-    bins = tally.cell_bins().sum(axis=0) / tally.total_histories
+    of = scene_of(environment, SAMPLE.design, None, layout)
+    tally = MonteCarlo(of, seed).run_to(blocks_of(HISTORIES))
+    bins = within_edges(tally, of).sum(axis=0) / tally.total_histories
     assert bins.shape == (64, 64)
     pixels = bins.reshape(16, 4, 16, 4).sum(axis=(1, 3))
     return np.asarray(pixels * 2.0 / (1e-3 * VIEW.pixel_um) ** 2)
@@ -89,7 +91,8 @@ def low_modes(image: Real) -> Real:
 def test_the_derivative_by_walls_is_the_difference_of_monte_carlo_images(workers: Workers, model: Model) -> None:
     """That of a fit's predictor against two counts with its own random numbers, of walls that are no effect.
 
-    All of the light to rounding; low modes, in which steps of 0.02 of 0.9 have a spread of 0.07, to a third of it.
+    All of the light to 1e-3, for the series mixes what is just within the walls with what is just beyond; low modes,
+    in which steps of 0.02 of 0.9 have a spread of 0.07, to a third of it.
     """
     (found,) = Predictor(workers).images(model, [VIEW], (WALLS,), Anchored(model, 1, seed=3))
     by = found.jacobian_per_mm2[WALLS]
@@ -98,7 +101,7 @@ def test_the_derivative_by_walls_is_the_difference_of_monte_carlo_images(workers
     assert asked.anchor.histories == HISTORIES
     step = step_of(asked)
     expected = difference(int(_seed_of(asked.anchor, asked.shots[0])), step)
-    assert by.sum() == pytest.approx(expected.sum(), rel=1e-6)
+    assert by.sum() == pytest.approx(expected.sum(), rel=1e-3)
     np.testing.assert_allclose(low_modes(by), low_modes(expected), atol=0.025)
 
 
