@@ -1,10 +1,12 @@
 """What each effect of the catalogue does to an image, whether the twin knows it, and what it costs.
 
     python benchmarks/effects.py [NAME ...] [--histories 1000000] [--seeds 4] [--share 0.33]
+    python benchmarks/effects.py current_crowding electrode_shadow --design 40,100,300,20,2.5 --array 1x1 --pixel-um 5
 
 Example module: 5 x 5 chips, D 180, W 40, S 500, T 20 um, 2.5 pairs, the paper's model, 60 x 60 pixels of 40 um,
-full scale at 1.05 of the brightest pixel. Each parameter with an off value is set to a share of its range, shape
-parameters to the middle of their grids, lists per chip to numbers drawn with that root mean square. Monte Carlo runs
+full scale at 1.05 of the brightest pixel; the second line's receiver is so near that a chip's face shows. Each
+parameter with an off value is set to a share of its range, shape parameters to the middle of their grids, lists per
+chip to numbers drawn with that root mean square. Monte Carlo runs
 at this value and at a thousandth of the step share their random numbers, seed by seed (off itself may be traced in
 another way: eightfold symmetry, walks through smooth chips); the seeds are independent, so that products of the
 differences of two of them are free of noise. The twin has other exits at each seed, those of the base where it can:
@@ -43,8 +45,7 @@ from luxloop.model_file import find_model
 from luxloop.ray import AnchorRequest, ChipArray, Film, PredictionRequest, ShotRequest
 
 Real = NDArray[np.float64]
-DESIGN = Design(distance_um=180, width_um=40, spacing_um=500, thickness_um=20, dbr_pairs=2.5)
-ARRAY, BRIGHTEST, NEAR = ChipArray(rows=5, columns=5), 1.05, 1e-3
+BRIGHTEST, NEAR = 1.05, 1e-3
 
 
 class Trial(NamedTuple):
@@ -68,12 +69,13 @@ class Seen(NamedTuple):
 class Bench:
     """Both workers in this process."""
 
-    def __init__(self, histories: int, seeds: int) -> None:
+    def __init__(self, design: Design, array: ChipArray, pixel_um: float, histories: int, seeds: int) -> None:
+        self.design, self.array = design, array
         self.environment = find_model("paper").environment
         self.film = FilmComputation.in_folder(Path(tempfile.mkdtemp()))
         self.ray = RayComputation(lambda sha, _: self.film.blob(sha) or b"", ExitSource(memory_bytes=64 << 20))
         self.histories, self.seeds = histories, seeds
-        self.camera = Camera(rows=60, columns=60, pixel_um=40.0)
+        self.camera = Camera(rows=60, columns=60, pixel_um=pixel_um)
         brightest = float(self.seen((), twin_only=True).twin.max())
         self.camera = self.camera.model_copy(update={"gain_dn": 4031.0 / BRIGHTEST / brightest})
         self.seen((), twin_only=True)
@@ -100,12 +102,17 @@ class Bench:
     def _shot(self, effects: tuple[AppliedEffect, ...]) -> ShotRequest:
         spectrum = Spectrum(peak_nm=self.environment.peak_nm, fwhm_nm=self.environment.fwhm_nm)
         asked = FilmTableRequest(
-            environment=self.environment, dbr_pairs=DESIGN.dbr_pairs, spectrum=spectrum, effects=effects
+            environment=self.environment, dbr_pairs=self.design.dbr_pairs, spectrum=spectrum, effects=effects
         )
         made, _ = self.film.compute(asked.model_dump(), Progress())
         film = Film(sha256=made["table_sha256"], bytes=made["table_bytes"])
         return ShotRequest(
-            environment=self.environment, design=DESIGN, film=film, effects=effects, array=ARRAY, camera=self.camera
+            environment=self.environment,
+            design=self.design,
+            film=film,
+            effects=effects,
+            array=self.array,
+            camera=self.camera,
         )
 
     def _ask(self, shot: ShotRequest, anchor: AnchorRequest, exit_seed: str = "1") -> tuple[Real, float]:
@@ -115,14 +122,14 @@ class Bench:
         return np.asarray(arrays["images_per_mm2"])[0], time.process_time() - begin_s
 
 
-def trials(spec: EffectSpec, share: float) -> Iterator[Trial]:
+def trials(spec: EffectSpec, share: float, chips: int) -> Iterator[Trial]:
     """An effect with each of its parameters in turn moved from off by a share of its range; once if it has no off."""
     rng = np.random.default_rng(7)
     at_off: dict[str, Value] = {}
     for one in spec.parameters:
         grid: tuple[float | str, ...] = one.shape_grid or one.choices
         value = grid[len(grid) // 2] if one.off is None else one.off
-        at_off[one.name] = (0.0,) * ARRAY.rows * ARRAY.columns if one.per_chip else value
+        at_off[one.name] = (0.0,) * chips if one.per_chip else value
     movable = [one for one in spec.parameters if one.off is not None]
     if not movable:
         yield Trial(spec.name, ", ".join(at_off), AppliedEffect(name=spec.name, parameters=at_off), ())
@@ -132,7 +139,7 @@ def trials(spec: EffectSpec, share: float) -> Iterator[Trial]:
             yield Trial(spec.name, one.name, AppliedEffect(name=spec.name, parameters=at_off | {one.name: other}), ())
             continue
         step = share * ((one.upper if one.upper > one.off else one.lower) - one.off)
-        drawn = rng.standard_normal(ARRAY.rows * ARRAY.columns)
+        drawn = rng.standard_normal(chips)
         both = []
         for part in (1.0, NEAR):
             values = np.clip(one.off + part * step * drawn, one.lower, one.upper)
@@ -173,11 +180,16 @@ def main() -> None:
     parser.add_argument("--histories", type=int, default=1_000_000)
     parser.add_argument("--seeds", type=int, default=4)
     parser.add_argument("--share", type=float, default=0.33)
+    parser.add_argument("--design", default="180,40,500,20,2.5", help="D,W,S,T in um, pairs")
+    parser.add_argument("--array", default="5x5", help="rows x columns")
+    parser.add_argument("--pixel-um", type=float, default=40.0)
     asked = parser.parse_args()
-    catalogue, bench = Catalogue(), Bench(asked.histories, asked.seeds)
+    design = Design(**dict(zip(Design.FIELDS, map(float, asked.design.split(",")), strict=True)))
+    array = ChipArray(**dict(zip(("rows", "columns"), asked.array.split("x"), strict=True)))
+    catalogue, bench = Catalogue(), Bench(design, array, asked.pixel_um, asked.histories, asked.seeds)
     rows = []
     for spec in catalogue.specs:
-        for trial in trials(spec, asked.share):
+        for trial in trials(spec, asked.share, array.rows * array.columns):
             (effect,) = catalogue.effects((trial.effect,), "ray").all
             of_films = isinstance(effect, CurveEffect) or (isinstance(effect, StackEffect) and "dbr" not in effect.of)
             if of_films or (asked.names and spec.name not in asked.names):

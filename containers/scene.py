@@ -166,7 +166,7 @@ class Array:
     offset_um: Real
     """(row, column, 2), displacement (x, y) of each chip from its place."""
     wall: Bsdf | None = None
-    """What stands at the edge, and lets through what it does not reflect; None: it is open, all that crosses is lost."""
+    """What stands at the edge, and lets through what it does not reflect; None: it is open, what crosses is lost."""
 
     def __post_init__(self) -> None:
         for name, value in (("rows", self.rows), ("columns", self.columns)):

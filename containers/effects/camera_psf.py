@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from typing import Literal
 
-import numpy as np
-
 from containers.effect import DetectorEffect, parameter
+from containers.lens import blurred
 from luxloop.camera import Camera
 
 
@@ -14,7 +13,7 @@ class CameraPsf(DetectorEffect):
     """The camera blurs the image, the same all over the field."""
 
     name = "camera_psf"
-    formula = "image * PSF: Gaussian of variance w^2, or Moffat's profile of the same variance"
+    formula = "image * PSF, beside the camera's own: Gaussian of variance w^2, or Moffat's profile of that variance"
     reference = "Moffat, A&A 3, 455 (1969)"
     conserves = ("energy",)
 
@@ -25,8 +24,5 @@ class CameraPsf(DetectorEffect):
     profile: Literal["gaussian", "moffat2.5"] = parameter("of the blur", unit="", choices=("gaussian", "moffat2.5"))
 
     def camera(self, camera: Camera) -> Camera:
-        """Variances of blurs add up."""
-        if not self.psf_um:
-            return camera
-        width_um = float(np.hypot(camera.psf_um, self.psf_um))
-        return camera.model_copy(update={"psf": self.profile, "psf_um": width_um})
+        """What the camera shows is convolved."""
+        return blurred(camera, self.profile, self.psf_um) if self.psf_um else camera

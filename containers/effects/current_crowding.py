@@ -15,7 +15,7 @@ class CurrentCrowding(SceneEffect):
 
     name = "current_crowding"
     stage = "emission"
-    formula = "emission x (1 + c1 x/W + c2 (4 r^2/W^2 - 1/3)), normalised; x, r from the chip's centre"
+    formula = "emission x (1 + c1 x/W + c2 (4 r^2/W^2 - 2/3)), whose mean is 1; x, r from the chip's centre"
     reference = "lateral spreading of current (Guo, Schubert, J. Appl. Phys. 90, 4191, 2001); judgement for the range"
     conserves = ("energy",)
 
@@ -28,6 +28,6 @@ class CurrentCrowding(SceneEffect):
             return scene
         place = (np.arange(CELLS) + 0.5) / CELLS - 0.5
         square = place**2 + 1.0 / (12.0 * CELLS**2)  # mean over a cell
-        bowl = 4.0 * np.add.outer(square, square) - 1.0 / 3.0
+        bowl = 4.0 * np.add.outer(square, square) - 2.0 / 3.0  # x^2 and y^2 have a mean of W^2 / 12 each
         weights = 1.0 + self.rise * place + self.rim * bowl
         return with_emission(scene, lambda emission: emission.by_place(weights))

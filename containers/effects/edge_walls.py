@@ -16,8 +16,8 @@ class EdgeWalls(SceneEffect):
     stage = "geometry"
     twin = False
     formula = (
-        "light that reaches an edge is reflected with r, also inside the receiver's plate; the rest leaves the module, "
-        "as all does where the edge is open (r = 0)"
+        "light that reaches an edge is reflected with r, also inside the receiver's plate; the rest leaves, as all "
+        "does where the edge is open (r = 0)"
     )
     reference = "frame of the module; aluminium up to 0.9"
 

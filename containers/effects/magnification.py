@@ -10,7 +10,10 @@ class Magnification(DetectorEffect):
     """The image is larger, or smaller, than the size of its pixels says."""
 
     name = "magnification"
-    formula = "r -> (1 + e) r about the module's centre in the image"
+    formula = (
+        "r -> (1 + e) r about the module's centre in the image; a pixel shows the mean over the area that it sees, "
+        "whose size is in the gain"
+    )
     reference = "scale of a calibrated camera is known to some 1e-3; engineering judgement"
 
     scale_error: float = parameter("e of the formula", unit="", lower=-0.01, upper=0.01, off=0.0)

@@ -15,8 +15,8 @@ class ReceiverVolumeScatter(SceneEffect):
     name = "receiver_volume_scatter"
     stage = "volume"
     formula = (
-        "E -> (1 - a) E + a (w E) * K, K a Gaussian of standard deviation l along each axis, w 1 within the module, else "
-        "0: the plate ends at the edge, light leaves it there, or walls reflect it"
+        "E -> (1 - a) E + a (w E) * K, K a Gaussian of standard deviation l along each axis, w 1 within the module, "
+        "else 0: the plate ends at the edge, where light leaves it, or walls send it back"
     )
     reference = "lateral spread in diffusing plates (Opt. Express 24, 11727, 2016; 25, 22575, 2017); judged ranges"
     conserves = ("energy",)

@@ -13,7 +13,10 @@ class Saturation(DetectorEffect):
 
     name = "saturation"
     rank = 2  # the last of the sensor
-    formula = "above k ymax: y -> ymax (k + (1 - k) tanh((y/ymax - k)/(1 - k)))"
+    formula = (
+        "above k ymax: y -> ymax (k + (1 - k) tanh((y/ymax - k)/(1 - k))); as k -> 1 that is y up to ymax, to "
+        "0.24 (1 - k) ymax; what is brighter is cut at ymax, at k = 1 left to the mask"
+    )
     reference = "EMVA 1288 release 4.0, saturation; the soft knee is engineering judgement"
 
     knee: float = parameter("k, a share of full scale", unit="", lower=0.8, upper=1.0, off=1.0, one_sided=True)

@@ -13,7 +13,10 @@ class SubstrateLeak(SceneEffect):
 
     name = "substrate_leak"
     stage = "module"
-    formula = "share a comes out by Lambert's law, displaced with the density exp(-r/L)/(2 pi L^2)"
+    formula = (
+        "share a comes out without loss by Lambert's law, displaced with the density exp(-r/L)/(2 pi L^2), the rest "
+        "meets the surface: of its reflectance R it makes (1 - a) R + a, at most 1"
+    )
     reference = (
         "dot-spread of white reflectors (Yule, Nielsen, TAGA 1951); length and share are engineering judgement"
     )

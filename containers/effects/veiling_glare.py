@@ -12,7 +12,9 @@ class VeilingGlare(DetectorEffect):
     """A part of all light is spread widely in the lens: a veil over the image."""
 
     name = "veiling_glare"
-    formula = "E -> (1 - a) E + a E * wide Gaussian"
+    formula = (
+        "image -> (1 - a) image + a E * wide Gaussian, E all light of the receiver: vignetting does not dim the veil"
+    )
     reference = "ISO 9358:1994 (glare spread function), ISO 18844:2017 (image flare): 0.5 to 10 %"
     conserves = ("energy",)
 
@@ -23,10 +25,13 @@ class VeilingGlare(DetectorEffect):
     )  # fmt: skip
 
     def camera(self, camera: Camera) -> Camera:
-        """The veil is added to the camera's own: their shares, and their second moments."""
+        """One veil for this and the camera's own, which spreads as much light as wide as both do one after the other.
+
+        The light that two veils leave where it is is (1 - a) (1 - a'), its mean square shift a l^2 + a' l'^2.
+        """
         share, own = self.glare_share, camera.glare
         if not share:
             return camera
-        square = (share * self.glare_um**2 + own * camera.glare_um**2) / (share + own)
-        update = {"glare": 1.0 - (1.0 - share) * (1.0 - own), "glare_um": float(np.sqrt(square))}
-        return camera.model_copy(update=update)
+        both = 1.0 - (1.0 - share) * (1.0 - own)
+        square = (share * self.glare_um**2 + own * camera.glare_um**2) / both
+        return camera.model_copy(update={"glare": both, "glare_um": float(np.sqrt(square))})

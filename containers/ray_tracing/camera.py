@@ -10,12 +10,14 @@ through as one. Pixels have to lie on the map; only blur and glare look beyond i
 
 from __future__ import annotations
 
+from functools import reduce
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from containers.compiled import kernel
+from containers.lens import blurs, vignettings
 from containers.ray_tracing.light_map import LightMap, pixel_means, spline_of, spread
 from luxloop.camera import Camera
 from luxloop.errors import InputError
@@ -48,7 +50,8 @@ def irradiance_image(light: LightMap, camera: Camera) -> Real:
     before = margin_px(camera)
     row, column = (_window(size, before) for size in (camera.rows, camera.columns))
     image = pixel_means(light, spline_of(light), *receiver_points(camera, row, column))
-    image = blurred(image, camera.psf, psf_px(camera))
+    for psf, sd_px in blurs_px(camera):
+        image = blurred(image, psf, sd_px)
     image = image[..., before : before + camera.rows, before : before + camera.columns]
     return with_glare(image * transmission(camera), light, camera)
 
@@ -76,7 +79,10 @@ def receiver_points(camera: Camera, row: Real, column: Real) -> tuple[Real, Real
     -----
     A point X of the receiver (module's centre 0) is imaged to centre + shift + (1 + e) turned(X) / pixel, and then
     moved along the radius from the image's centre, r to r + k1 r^3 with r = 1 at the corner of the corner pixel; this
-    is the inverse. What k1 makes of a square is neglected but for its area.
+    is the inverse. What k1 makes of a square is neglected but for its area. A pixel shows the mean over what it sees,
+    not the sum: of an even receiver the image is even, as behind a flat field taken with the same lens. Where nothing
+    was divided by a flat, the area seen, 1 / ((1 + e)^2 (1 + k1 r^2) (1 + 3 k1 r^2)), is in the gain and, to first
+    order, a quadratic vignetting of 4 k1.
     """
     row = row[:, None]
     axis_row, axis_column = (camera.rows - 1) / 2, (camera.columns - 1) / 2
@@ -145,20 +151,25 @@ def _refuse_outside(light: LightMap, camera: Camera) -> None:
 # The lens
 
 
-def psf_px(camera: Camera) -> float:
-    """Standard deviation of the PSF in pixels of the image."""
-    return camera.psf_um * (1.0 + camera.magnification_error) / camera.pixel_um
+def blurs_px(camera: Camera) -> list[tuple[str, float]]:
+    """Kind and standard deviation, in pixels of the image, of each PSF that has a width."""
+    per_um = (1.0 + camera.magnification_error) / camera.pixel_um
+    return [(psf, psf_um * per_um) for psf, psf_um in blurs(camera)]
 
 
 def margin_px(camera: Camera) -> int:
-    """How many pixels beyond the image the PSF needs to see; InputError where a Moffat would need too many."""
-    width = psf_px(camera)
-    if width and camera.psf in MOFFAT:
-        if width > MOFFAT_LARGEST_PX:
-            largest = camera.psf_um * MOFFAT_LARGEST_PX / width
-            raise InputError("psf_um", camera.psf_um, f"0 to {largest:g} um for a Moffat here", "or take a gaussian")
-        return MOFFAT_MARGIN_PX
-    return int(np.ceil(7.0 * width)) + 6 if width else 0
+    """How many pixels beyond the image its PSFs need to see; InputError where a Moffat would need too many."""
+    return sum(_reach_px(psf, sd_px, camera) for psf, sd_px in blurs_px(camera))
+
+
+def _reach_px(psf: str, sd_px: float, camera: Camera) -> int:
+    if psf not in MOFFAT:
+        return int(np.ceil(7.0 * sd_px)) + 6
+    if sd_px > MOFFAT_LARGEST_PX:
+        um = camera.pixel_um / (1.0 + camera.magnification_error)
+        allowed = f"0 to {MOFFAT_LARGEST_PX * um:g} um for a Moffat here"
+        raise InputError("psf_um", sd_px * um, allowed, "or take a gaussian")
+    return MOFFAT_MARGIN_PX
 
 
 def _window(size: int, before: int) -> Real:
@@ -210,13 +221,14 @@ def transmission(camera: Camera) -> Real:
 
     Notes
     -----
-    1 - v r^2, or cos^4 = 1 / (1 + r^2 tan^2)^2 with the angle at the corner from 1 - v.
+    1 - v r^2, or cos^4 = 1 / (1 + r^2 tan^2)^2 with the angle at the corner from 1 - v; of several the product.
     """
     row, column = _from_axis(camera)
     r2 = (row**2 + column**2) / _corner_px(camera) ** 2
-    if camera.vignetting_law == "quadratic":
-        return np.asarray(1.0 - camera.vignetting * r2)
-    return np.asarray((1.0 + r2 * ((1.0 - camera.vignetting) ** -0.5 - 1.0)) ** -2)
+    left = np.ones_like(r2)
+    for law, loss in vignettings(camera):
+        left *= 1.0 - loss * r2 if law == "quadratic" else (1.0 + r2 * ((1.0 - loss) ** -0.5 - 1.0)) ** -2
+    return left
 
 
 def with_glare(image: Real, light: LightMap, camera: Camera) -> Real:
@@ -225,12 +237,12 @@ def with_glare(image: Real, light: LightMap, camera: Camera) -> Real:
     Notes
     -----
     The source is all light of the map, also from beyond the image, and what it puts on the sensor is not vignetted.
-    The PSF is in it by adding variances (exact for a Gaussian). Light that stays on the map keeps its energy. The
+    PSFs are in it by adding variances (exact for Gaussians). Light that stays on the map keeps its energy. The
     veil is so smooth that a polynomial through few points of the image gives it everywhere.
     """
     if not camera.glare:
         return image
-    sd_um = float(np.hypot(camera.glare_um, camera.psf_um))
+    sd_um = float(reduce(np.hypot, (psf_um for _, psf_um in blurs(camera)), camera.glare_um))
     wide = spread(light, sd_um)
     sizes = camera.rows, camera.columns
     (row, up), (column, across) = (_few_points(size, size * camera.pixel_um / sd_um) for size in sizes)

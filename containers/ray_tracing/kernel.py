@@ -16,8 +16,9 @@ from containers.compiled import borrowing_kernel, inlined_kernel
 from containers.ray_tracing import arrays as of
 from containers.ray_tracing.arrays import EmissionArrays, SceneArrays, Sinks
 from containers.ray_tracing.chip import OUT, walk_chip
-from containers.ray_tracing.module import INTO_CHIP, clear_way, note_direction, receive, walk_module
+from containers.ray_tracing.module import INTO_CHIP, clear_way, receive, walk_module
 from containers.ray_tracing.philox import CHIP, EMISSION, STREAM_WORDS, Stream, draw, philox4x32, start
+from containers.ray_tracing.recording import note_direction
 from containers.ray_tracing.sobol import DIMENSIONS, point
 from containers.ray_tracing.surfaces import albedo
 

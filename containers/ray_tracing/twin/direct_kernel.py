@@ -30,9 +30,10 @@ from containers.ray_tracing.arrays import (
 )
 from containers.ray_tracing.chip import OUT, walk_chip
 from containers.ray_tracing.kernel import Scratch, leave_chip, take_exit
-from containers.ray_tracing.module import INTO_CHIP, clear_way, recorded_share, walk_module
+from containers.ray_tracing.module import INTO_CHIP, clear_way, walk_module
 from containers.ray_tracing.philox import RECEIVER as RECEIVER_KIND
 from containers.ray_tracing.philox import SUBSTRATE, Stream, follow_up, start
+from containers.ray_tracing.recording import recorded_share
 from containers.ray_tracing.surfaces import REFLECTED, albedo, scatter
 
 Real = NDArray[np.float64]

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import ArrayLike, NDArray
+from scipy.integrate import quad
 from scipy.special import ndtr
 
 from containers.acting import Effects
@@ -58,7 +59,7 @@ def lone(half_um: float = 1000.0, **changes: Any) -> Scene:
 
 
 def moments(tally: Tally, walled: Scene | None = None) -> tuple[float, Real, Real]:
-    """Sum, mean place (x, y) and variances of what was recorded, per history; between walls of a scene that has some."""
+    """Sum, mean place (x, y) and variances of what was recorded, per history; of a walled scene between its walls."""
     bins, (x0, x1, y0, y1) = tally.cell_bins().sum(axis=0), tally.box.ends_um
     if walled is not None:
         bins, layout = within_edges(tally, walled).sum(axis=0), walled.layout
@@ -104,12 +105,15 @@ def test_dipoles_only_turn_light(a: float) -> None:
     np.testing.assert_allclose(drawn, expected, rtol=1e-4)
 
 
-def test_crowding_moves_the_centroid_by_c1_w_12() -> None:
-    """Over 1 + c2 / 3, the mean of the weights; the rim's own second moment is that of the formula."""
+def test_crowding_moves_the_centroid_by_c1_w_12_and_the_second_moment_by_c2_w2_45() -> None:
+    """Integrals over the square; the weights have a mean of 1 as they are, and the light of a chip is unchanged."""
     of = under(CurrentCrowding(rise=0.3, rim=0.2), scene())
-    w = of.emission.position / of.emission.position.mean()
+    w = of.emission.position
+    assert w.mean() == pytest.approx(1.0, abs=1e-12)
     place = (np.arange(w.shape[0]) + 0.5) / w.shape[0] - 0.5
-    assert (w.mean(axis=0) @ place) / place.size == pytest.approx(0.3 / 12.0 / (1.0 + 0.2 / 3.0), rel=2e-3)
+    assert (w.mean(axis=0) @ place) / place.size == pytest.approx(0.3 / 12.0, rel=2e-3)
+    second = (np.add.outer(place**2, place**2) * w).mean() - 1.0 / 6.0  # of r^2 / W^2
+    assert second == pytest.approx(0.2 * quad(lambda u: 8.0 * (u**4 - u**2 / 12.0), -0.5, 0.5)[0], rel=5e-3)
     assert (w.mean(axis=1) @ place) / place.size == pytest.approx(0.0, abs=1e-12)
     assert not of.symmetric
     assert under(CurrentCrowding(rise=0.0, rim=0.2), scene()).symmetric

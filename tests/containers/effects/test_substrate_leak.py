@@ -48,13 +48,28 @@ def test_light_comes_out_with_the_density_and_by_lambert_s_law(length_um: float)
 
 
 def test_a_leak_keeps_light_and_spares_it_the_substrate_s_loss() -> None:
-    """What leaks is not absorbed: with reflectance 0.5 and share a, 1 - (1 - a)/2 of the light sent down comes up."""
+    """What leaks is not absorbed: of the light sent down (1 - a) R + a comes up, for R = 0.5 1 - (1 - a)/2."""
     dark = scene(substrate=Mirror(0.5), receiver=lambertian_receiver(0.0))
     for share in (0.0, 0.1):
         tally = launched(leaky(dark, share), np.tile([200.0, 200.0, 1.0], (100_000, 1)), DOWN)
         up = 1.0 - tally.ledger_per_history["substrate"]
         assert up == pytest.approx(1.0 - (1.0 - share) / 2.0, abs=0.006)
         assert abs(tally.ledger_defect) < 1e-9
+
+
+@pytest.mark.parametrize("reflectance", [0.0, 0.5, 0.97, 1.0])
+@pytest.mark.parametrize("share", [0.05, 0.1])
+def test_a_leak_makes_no_light(reflectance: float, share: float) -> None:
+    """Of light that a black receiver is sent once, and of the twin's round trip, (1 - a) R + a, never more than 1."""
+    of = leaky(scene(substrate=Mirror(reflectance), receiver=lambertian_receiver(0.0)), share)
+    tally = launched(of, np.tile([200.0, 200.0, 1.0], (20_000, 1)), DOWN)
+    expected = (1.0 - share) * reflectance + share
+    assert expected <= 1.0
+    assert tally.ledger_per_history["receiver"] + tally.ledger_per_history["chip"] <= 1.0 + 1e-12
+    assert 1.0 - tally.ledger_per_history["substrate"] == pytest.approx(expected, abs=0.014)
+    at = np.array([0.0])
+    trip = leaking(round_trip(of.substrate, of.receiver, at), Leak.of(of), of.receiver, at)
+    assert trip[0] == pytest.approx(expected, abs=1e-9)
 
 
 def test_a_leak_of_nothing_is_no_leak_and_leaves_chips_alone() -> None:
