@@ -69,9 +69,13 @@ class Seen(NamedTuple):
 class Bench:
     """Both workers in this process."""
 
-    def __init__(self, design: Design, array: ChipArray, pixel_um: float, histories: int, seeds: int) -> None:
+    def __init__(
+        self, design: Design, array: ChipArray, pixel_um: float, receiver: float, histories: int, seeds: int
+    ) -> None:
         self.design, self.array = design, array
-        self.environment = find_model("paper").environment
+        paper = find_model("paper").environment
+        sent_back = paper.receiver.model_copy(update={"reflectance": receiver})
+        self.environment = paper.model_copy(update={"receiver": sent_back})
         self.film = FilmComputation.in_folder(Path(tempfile.mkdtemp()))
         self.ray = RayComputation(lambda sha, _: self.film.blob(sha) or b"", ExitSource(memory_bytes=64 << 20))
         self.histories, self.seeds = histories, seeds
@@ -183,10 +187,11 @@ def main() -> None:
     parser.add_argument("--design", default="180,40,500,20,2.5", help="D,W,S,T in um, pairs")
     parser.add_argument("--array", default="5x5", help="rows x columns")
     parser.add_argument("--pixel-um", type=float, default=40.0)
+    parser.add_argument("--receiver", type=float, default=0.35, help="its reflectance; 0: direct light alone")
     asked = parser.parse_args()
     design = Design(**dict(zip(Design.FIELDS, map(float, asked.design.split(",")), strict=True)))
     array = ChipArray(**dict(zip(("rows", "columns"), asked.array.split("x"), strict=True)))
-    catalogue, bench = Catalogue(), Bench(design, array, asked.pixel_um, asked.histories, asked.seeds)
+    catalogue, bench = Catalogue(), Bench(design, array, asked.pixel_um, asked.receiver, asked.histories, asked.seeds)
     rows = []
     for spec in catalogue.specs:
         for trial in trials(spec, asked.share, array.rows * array.columns):

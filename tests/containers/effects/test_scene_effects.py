@@ -112,8 +112,9 @@ def test_crowding_moves_the_centroid_by_c1_w_12_and_the_second_moment_by_c2_w2_4
     assert w.mean() == pytest.approx(1.0, abs=1e-12)
     place = (np.arange(w.shape[0]) + 0.5) / w.shape[0] - 0.5
     assert (w.mean(axis=0) @ place) / place.size == pytest.approx(0.3 / 12.0, rel=2e-3)
-    second = (np.add.outer(place**2, place**2) * w).mean() - 1.0 / 6.0  # of r^2 / W^2
-    assert second == pytest.approx(0.2 * quad(lambda u: 8.0 * (u**4 - u**2 / 12.0), -0.5, 0.5)[0], rel=5e-3)
+    square = place**2 + 1.0 / (12.0 * place.size**2)  # mean over a cell
+    second = (np.add.outer(square, square) * w).mean() - 1.0 / 6.0  # of r^2 / W^2
+    assert second == pytest.approx(0.2 * quad(lambda u: 8.0 * (u**4 - u**2 / 12.0), -0.5, 0.5)[0], rel=1e-2)
     assert (w.mean(axis=1) @ place) / place.size == pytest.approx(0.0, abs=1e-12)
     assert not of.symmetric
     assert under(CurrentCrowding(rise=0.0, rim=0.2), scene()).symmetric
