@@ -69,6 +69,8 @@ def diagnosing(
     subject = subject_of(model, None)
     observed = Observed.of(subject.dataset, pixel_um, film)
     paths = tuple(path for path in paths_of(subject.model, free) if not path.startswith("effects."))
+    if free is None and not observed.of_modules:  # films alone know nothing of the module's parameters
+        paths = ()
     solver = Solver(histories, seed)
     with (
         session(settings, subject, command, seed=seed, local=not no_local, say=say) as at,

@@ -78,11 +78,10 @@ class Diagnosing:
     @cached_property
     def effects(self) -> list[EffectSpec]:
         """Those that these data could show: of modules where there are images or far fields, of films else."""
-        images = bool(self.observed.images) or any(curve.free_scale for curve in self.observed.curves)
         spectra = any(not curve.free_scale for curve in self.observed.curves)
         for name in self.among:
             self.known.spec(name)
-        seen = [one for one in self.known.specs if (spectra if is_of_film(one) else images)]
+        seen = [one for one in self.known.specs if (spectra if is_of_film(one) else self.observed.of_modules)]
         return [one for one in seen if not self.among or one.name in self.among]
 
     @property
@@ -126,7 +125,7 @@ class Diagnosing:
         self.proposals = Rivals(found, rivals, self.predictor, self.known.beyond_twin).proposals(
             lambda share, words: self.progress(0.9 + 0.1 * share, words)
         )
-        return next_in_words(self.proposals)
+        return next_in_words(self.proposals, images=bool(self.observed.images))
 
     def diagnosed(self) -> Diagnosis:
         """The verdict."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -36,6 +37,12 @@ LEAST_SHARE = 1e-3
 SLOPE_SHARE = 0.1
 """Of its range: by which an effect that the twin cannot represent is moved for the slope at its own value."""
 
+AS_WELL = 2.0
+"""Of chi2, within which words fit as well, and the first in the catalogue's order, the most usual ones, are taken:
+differences of Akaike's criterion below 2 decide nothing (Burnham and Anderson, Model Selection, 2002)."""
+
+Words = tuple[str, ...]
+
 
 @dataclass(frozen=True, eq=False)
 class Refitted:
@@ -54,6 +61,9 @@ class Refitted:
     """None for a group: its members are known one by one, not as one number."""
     fit: Fit | None
     """None for a group, whose members are reckoned on the linear model."""
+
+    as_well: tuple[Words, ...] = ()
+    """Other words of its shape, with which it fits as well."""
 
     @property
     def shape(self) -> tuple[tuple[str, Value], ...]:
@@ -151,7 +161,7 @@ def finished(found: Refitted, predictor: ImagePredictor, curves: CurvePredictor 
     if not spec.twin:
         return _at_its_value(found, fit, predictor)
     problem = replace(fit.problem, predictor=predictor, predict_curves=curves)
-    own = _best_word(found, refitted(problem, fit.values))
+    own, as_well = _best_words(found, refitted(problem, fit.values))
     shapes = [one for one in spec.parameters if one.off is None and not one.choices and one.shape_grid]
     if shapes and not found.candidate.is_switch:
         limits = {path_of(spec.name, one.name): limits_of(one) for one in shapes}
@@ -161,22 +171,26 @@ def finished(found: Refitted, predictor: ImagePredictor, curves: CurvePredictor 
         better = _moved(own, model, (*own.problem.unknowns.model_paths, *limits), start)
         if better.converged and not any(path in better.at_limit for path in limits):
             own = better
-    return _with(found, own)
+    return replace(_with(found, own), as_well=as_well)
 
 
-def _best_word(found: Refitted, own: Fit) -> Fit:
-    """The fit with the words of the effect's shape (a law, a profile) that leave the least chi2."""
+def _best_words(found: Refitted, own: Fit) -> tuple[Fit, tuple[Words, ...]]:
+    """The fit with the best words of the effect's shape (a law, a profile), and other words that fit as well."""
     spec = found.candidate.effect
-    best = own
-    for one in [one for one in spec.parameters if one.off is None and one.choices and not found.candidate.is_switch]:
-        for word in one.choices:
-            values = next(effect.parameters for effect in best.model.effects if effect.name == spec.name)
-            if word == values[one.name]:
-                continue
-            model = with_effect(best.problem.model, applied(spec, dict(values) | {one.name: word}))
-            other = _moved(best, model, best.problem.unknowns.model_paths, best.problem.unknowns.named(best.values))
-            best = other if _chi2(other) < _chi2(best) else best
-    return best
+    words = [one for one in spec.parameters if one.off is None and one.choices and not found.candidate.is_switch]
+    if not words:
+        return own, ()
+    values = next(dict(effect.parameters) for effect in own.model.effects if effect.name == spec.name)
+    fits = {}
+    for said in product(*(one.choices for one in words)):
+        wanted = values | dict(zip((one.name for one in words), said, strict=True))
+        model = with_effect(own.problem.model, applied(spec, wanted))
+        start = own.problem.unknowns.named(own.values)
+        fits[said] = own if wanted == values else _moved(own, model, own.problem.unknowns.model_paths, start)
+    fits = {said: fit for said, fit in fits.items() if fit.trusted} or fits
+    least = min(map(_chi2, fits.values()))
+    first, *others = (said for said, fit in fits.items() if _chi2(fit) <= least + AS_WELL)
+    return fits[first], tuple(others)
 
 
 def _at_its_value(found: Refitted, fit: Fit, predictor: ImagePredictor) -> Refitted:

@@ -278,7 +278,7 @@ class Projection:
 def _nuisances(problem: Problem) -> NDArray[np.bool_]:
     """Which unknowns are no parameters of the model or of films."""
     parameters = {*problem.unknowns.model_paths, *problem.unknowns.other_paths}
-    return np.array([name not in parameters for name in problem.unknowns.names])
+    return np.array([name not in parameters for name in problem.unknowns.names], bool)
 
 
 def projected(columns: Sequence[Column], projection: Projection) -> Real:
