@@ -24,6 +24,7 @@ from validation.diagnose.next_measurement import Proposal, Rivals, next_in_words
 from validation.diagnose.refit import Refitted, finished, refit
 from validation.diagnose.score import Candidate, Projected, Score, scores
 from validation.effects.known import Known
+from validation.effects.signatures import Column
 from validation.fit import CurvesOf, Fit, fit
 from validation.observed import Observed
 from validation.prediction import Predictor
@@ -54,6 +55,8 @@ class Diagnosing:
     """Of the last verdict that could not tell effects apart."""
     refused: dict[str, str] = field(default_factory=dict)
     """Effects that cannot be had with these samples, with the reason."""
+    traced: dict[tuple[object, ...], list[Column]] = field(default_factory=dict)
+    """Columns of effects by Monte Carlo, kept from round to round."""
 
     def fitted(self, model: Model) -> Fit:
         """A model on these data; effects in it are fitted where its [fit] tables free them."""
@@ -96,7 +99,7 @@ class Diagnosing:
 
     def signatures(self, found: Fit, effects: Sequence[EffectSpec]) -> list[Candidate]:
         """The whitened columns of effects at a fit."""
-        sight = FitSight.of(found, self.predictor, self.known.beyond_twin, self.solver.seed)
+        sight = FitSight.of(found, self.predictor, self.known.beyond_twin, self.solver.seed, self.traced)
         return candidates_of(
             found, effects, sight, lambda share, name: self.progress(0.1 + 0.4 * share, name), self.refused
         )

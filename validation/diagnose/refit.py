@@ -18,11 +18,11 @@ from luxloop.effect import EffectParameter, Value
 from luxloop.model import Fit as Limits
 from luxloop.model import Model
 from validation.diagnose.evidence import logs_of_spreads
-from validation.diagnose.frozen import FrozenCurves, FrozenImages, Slopes
+from validation.diagnose.frozen import FrozenCurves, FrozenImages, Slopes, frozen_at, without
 from validation.effects.known import applied, off_values, with_effect
 from validation.fit import Fit, prior_chi2, refitted, unknowns_of
 from validation.fit.image_fit import ANCHOR_MOVE, MAX_ANCHORS
-from validation.fit.problem import CurvePredictor, ImagePredictor
+from validation.fit.problem import CurvePredictor, ImagePredictor, Problem
 from validation.prediction import Anchored
 from validation.prediction.differences import stencil
 
@@ -33,6 +33,8 @@ Real = NDArray[np.float64]
 
 LEAST_SHARE = 1e-3
 """Of its range: where a parameter starts whose image goes with its square, at whose off nothing has a slope."""
+
+MOST_HALVINGS = 4
 
 SLOPE_SHARE = 0.1
 """Of its range: by which an effect that the twin cannot represent is moved for the slope at its own value."""
@@ -107,16 +109,27 @@ def refit(base: Fit, score: Score, slopes: Slopes) -> Refitted:
 
 
 def freed(base: Fit, score: Score, slopes: Slopes) -> Refitted:
-    """The effect's parameter is one more unknown, begun where the score test expects it."""
+    """The effect's parameter is one more unknown, begun where the score test expects it.
+
+    Or half as far from off, as often as the images there are worse than without it: beyond a straight line's reach.
+    """
     candidate = score.candidate
     lower, upper = limits_of(candidate.parameter)
     least = LEAST_SHARE * (upper - lower)
-    start = float(np.clip(candidate.value(score.size), lower + least, upper - least))
     path = path_of(candidate.effect.name, candidate.parameter.name)
     squares = frozenset([path] if candidate.parameter.score_variable == "square" else [])
-    model = added(base.model, candidate, start)
     lines = frozenset() if candidate.effect.twin else frozenset([candidate.effect.name])
-    found = _again(base, model, {**slopes, path: candidate.parts}, {path: start}, squares, lines)
+    slopes = {**slopes, path: candidate.parts}
+    frozen = _frozen(base.problem, slopes, squares, lines)
+    at, size = base.problem.unknowns.named(base.values), score.size
+    for _ in range(1 + MOST_HALVINGS):
+        start = float(np.clip(candidate.value(size), lower + least, upper - least))
+        problem, values = _posed(frozen, added(base.model, candidate, start), tuple(slopes), at | {path: start})
+        residual = problem.evaluate(values).residual(base.whitening)
+        if residual @ residual <= base.chi2:
+            break
+        size = 0.5 * candidate.size(start)
+    found = refitted(problem, values)
     return Refitted(
         candidate, found.value(path), found.error(path), found.residual, _chi2(found), path in found.at_limit,
         found.model, found,
@@ -125,7 +138,8 @@ def freed(base: Fit, score: Score, slopes: Slopes) -> Refitted:
 
 def switched(base: Fit, candidate: Candidate, slopes: Slopes) -> Refitted:
     """The effect is there, with the word of its shape."""
-    found = _again(base, added(base.model, candidate, None), slopes, {})
+    frozen, start = _frozen(base.problem, slopes), base.problem.unknowns.named(base.values)
+    found = refitted(*_posed(frozen, added(base.model, candidate, None), tuple(slopes), start))
     return Refitted(candidate, 1.0, 0.0, found.residual, _chi2(found), False, found.model, found)
 
 
@@ -161,36 +175,51 @@ def finished(found: Refitted, predictor: ImagePredictor, curves: CurvePredictor 
     if not spec.twin:
         return _at_its_value(found, fit, predictor)
     problem = replace(fit.problem, predictor=predictor, predict_curves=curves)
-    own, as_well = _best_words(found, refitted(problem, fit.values))
+    own, as_well = _best_words(found, problem, fit.values)
     shapes = [one for one in spec.parameters if one.off is None and not one.choices and one.shape_grid]
     if shapes and not found.candidate.is_switch:
         limits = {path_of(spec.name, one.name): limits_of(one) for one in shapes}
         opened = {path: Limits(free=True, lower=low, upper=high) for path, (low, high) in limits.items()}
         model = own.model.model_copy(update={"fit": own.model.fit | opened})
         start = own.problem.unknowns.named(own.values) | {path: own.model.leaves()[path] for path in limits}
-        better = _moved(own, model, (*own.problem.unknowns.model_paths, *limits), start)
+        better = _renewed(*_posed(problem, model, (*own.problem.unknowns.model_paths, *limits), start))
         if better.converged and not any(path in better.at_limit for path in limits):
             own = better
     return replace(_with(found, own), as_well=as_well)
 
 
-def _best_words(found: Refitted, own: Fit) -> tuple[Fit, tuple[Words, ...]]:
+def _best_words(found: Refitted, problem: Problem, values: Real) -> tuple[Fit, tuple[Words, ...]]:
     """The fit with the best words of the effect's shape (a law, a profile), and other words that fit as well."""
     spec = found.candidate.effect
     words = [one for one in spec.parameters if one.off is None and one.choices and not found.candidate.is_switch]
     if not words:
-        return own, ()
-    values = next(dict(effect.parameters) for effect in own.model.effects if effect.name == spec.name)
+        return _renewed(problem, values), ()
+    tried = next(dict(effect.parameters) for effect in problem.model.effects if effect.name == spec.name)
+    own = _renewed(problem, values)
+    known, start = without(own.problem, path_of(spec.name, found.candidate.parameter.name)), own.problem.unknowns
     fits = {}
     for said in product(*(one.choices for one in words)):
-        wanted = values | dict(zip((one.name for one in words), said, strict=True))
-        model = with_effect(own.problem.model, applied(spec, wanted))
-        start = own.problem.unknowns.named(own.values)
-        fits[said] = own if wanted == values else _moved(own, model, own.problem.unknowns.model_paths, start)
+        wanted = tried | dict(zip((one.name for one in words), said, strict=True))
+        model = with_effect(problem.model, applied(spec, wanted))
+        posed = _posed(known, model, start.model_paths, start.named(own.values))
+        fits[said] = own if wanted == tried else _renewed(*posed)
     fits = {said: fit for said, fit in fits.items() if fit.trusted} or fits
     least = min(map(_chi2, fits.values()))
     first, *others = (said for said, fit in fits.items() if _chi2(fit) <= least + AS_WELL)
     return fits[first], tuple(others)
+
+
+def _renewed(problem: Problem, values: Real) -> Fit:
+    """The fit with derivatives of its own: those where it begins, renewed where it has moved away from there."""
+    found = refitted(frozen_at(problem, values), values)
+    for _ in range(MAX_ANCHORS - 1):
+        paths = problem.unknowns.model_paths
+        at = dict(zip(found.names, values, strict=True))
+        if all(abs(found.value(path) - at[path]) <= ANCHOR_MOVE * found.error(path) for path in paths):
+            break
+        values = found.values
+        found = refitted(frozen_at(replace(problem, images=found.problem.images), values), values)
+    return found
 
 
 def _at_its_value(found: Refitted, fit: Fit, predictor: ImagePredictor) -> Refitted:
@@ -244,34 +273,24 @@ def _with(found: Refitted, fit: Fit) -> Refitted:
     )  # fmt: skip
 
 
-def _again(
-    base: Fit,
-    model: Model,
-    slopes: Slopes,
-    start: dict[str, float],
-    squares: frozenset[str] = frozenset(),
-    lines: frozenset[str] = frozenset(),
-) -> Fit:
-    """The fit of another model about the same anchor, from where the base stood, with slopes that stay."""
-    problem = base.problem
+def _frozen(
+    problem: Problem, slopes: Slopes, squares: frozenset[str] = frozenset(), lines: frozenset[str] = frozenset()
+) -> Problem:
+    """The problem about the same anchor, with slopes that stay."""
     curves = problem.predict_curves
-    frozen = replace(
-        base,
-        problem=replace(
-            problem,
-            predictor=FrozenImages(problem.predictor, slopes, squares, lines),
-            predict_curves=None if curves is None else FrozenCurves(curves, slopes, squares, len(problem.images)),
-        ),
+    return replace(
+        problem,
+        predictor=FrozenImages(problem.predictor, slopes, squares, lines),
+        predict_curves=None if curves is None else FrozenCurves(curves, slopes, squares, len(problem.images)),
     )
-    return _moved(frozen, model, tuple(slopes), problem.unknowns.named(base.values) | start)
 
 
-def _moved(base: Fit, model: Model, paths: Sequence[str], start: dict[str, float]) -> Fit:
-    problem, known = base.problem, base.problem.unknowns
+def _posed(problem: Problem, model: Model, paths: Sequence[str], start: dict[str, float]) -> tuple[Problem, Real]:
+    """The problem with another model, of which these paths move, and the values to start from."""
+    known = problem.unknowns
     films = [one for one in known.parameters if one.name in known.other_paths]
     unknowns = unknowns_of(model, paths, problem.images, problem.curves, films, problem.discrepancies)
-    values = np.array([start[name] for name in unknowns.names])
-    return refitted(replace(problem, model=model, unknowns=unknowns), values)
+    return replace(problem, model=model, unknowns=unknowns), np.array([start[name] for name in unknowns.names])
 
 
 def _chi2(fit: Fit) -> float:

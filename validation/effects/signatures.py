@@ -90,7 +90,7 @@ class Sight:
     def _traced(self, models: Iterable[Model], wanted: Sequence[int]) -> Iterator[list[Real]]:
         asked = [self.views[number] for number in wanted]
         for model in models:
-            anchor = Anchored(model, self.histories, self.seed)
+            anchor = Anchored(model, self.histories, self.seed, stored_exits=True)
             found = self.predictor.images(model, asked, (), anchor) if asked else []
             yield [one.irradiance_per_mm2 for one in found]
 
