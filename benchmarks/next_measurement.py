@@ -104,7 +104,7 @@ class Bench:
         return image_ground(PAPER, Predictor(self.client), self.known, observed.images)
 
     def size(self, name: str, end: float, rival: str) -> float:
-        """Towards an end of its range, where an effect leaves SIGMA beside its rival; the end where that is beyond."""
+        """At which an effect leaves SIGMA beside its rival, towards an end of its range and not beyond."""
         specs = [self.known.spec(name), self.known.spec(rival)]
         own, other = (projected(self.ground.columns(PAPER, spec), self.ground.projection) for spec in specs)
         found = SIGMA / left_beside(own[0], [other])
@@ -160,11 +160,10 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--first", type=int, default=0, help="number of the first trial: to run them in parts")
     asked = parser.parse_args()
-    results: list[bool | None] = []
+    numbers = range(asked.first, asked.first + asked.trials)
     with Client(load_settings(), patience_s=300.0) as client:
         bench = Bench(client, Known.ask(client), asked.truth, asked.anchor)
-        for number in range(asked.first, asked.first + asked.trials):
-            results.append(trial(bench, CASES[number % len(CASES)], asked.seed + number))
+        results = [trial(bench, CASES[number % len(CASES)], asked.seed + number) for number in numbers]
     counted = [one for one in results if one is not None]
     low, high = clopper_pearson(sum(counted), len(counted)) if counted else (0.0, 1.0)
     print(
