@@ -22,7 +22,8 @@ from luxloop.model_file import find_model
 from luxloop.settings import load_settings
 from validation.comparing import Solver
 from validation.dataset.folder import read_dataset
-from validation.dataset.simulate import exposed, paper_plan, views_of, write_dataset
+from validation.dataset.simulate import exposed, views_of, write_dataset
+from validation.dataset.simulation_plan import paper_plan
 from validation.diagnose.diagnosis import Diagnosis
 from validation.diagnosing import Diagnosing
 from validation.effects.known import Known

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import tempfile
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -42,19 +43,20 @@ FILMS = {
 """The light's side first; the last has a layer too many, half polymer and half air."""
 
 
-def write(folder: Path, data: Measured) -> None:
-    """The data set."""
+def write(folder: Path, data: Measured, films: Mapping[str, str], sigma_deg: Mapping[str, float]) -> None:
+    """The data set: films with their layers, each value with the same error."""
+    first = next(iter(films))
     lines = ['schema = "luxloop-dataset/1"', 'name = "PNIPAM on silicon"', 'licence = "BSD-3-Clause"']
-    for name, layers in FILMS.items():
+    for name, layers in films.items():
         lines += ["", "[[films]]", f'id = "{name}"', 'incident = "air"', 'exit = "Si"', f"layers = {layers}"]
     for place, angle in enumerate(data.aoi_deg):
         for quantity in ("psi", "delta"):
             values = getattr(data, f"{quantity}_deg").mean(axis=0)[:, place]
             file = f"{quantity}-{angle:g}.csv"
-            rows = (f"{nm:g},{angle:g},,{value:.4f},{SIGMA_DEG[quantity]}" for nm, value in
+            rows = (f"{nm:g},{angle:g},,{value:.4f},{sigma_deg[quantity]:.4g}" for nm, value in
                     zip(data.wavelength_nm, values, strict=True))  # fmt: skip
             (folder / file).write_text("wavelength_nm,aoi_deg,polarisation,value,sigma\n" + "\n".join(rows) + "\n")
-            lines += ["", "[[shots]]", f'id = "{quantity}-{angle:g}"', 'kind = "spectrum"', 'film = "polymer"',
+            lines += ["", "[[shots]]", f'id = "{quantity}-{angle:g}"', 'kind = "spectrum"', f'film = "{first}"',
                       f'quantity = "{quantity}"', f'file = "{file}"', "bandwidth_nm = 5.4"]  # fmt: skip
     (folder / "dataset.toml").write_text("\n".join(lines) + "\n")
     write_sums(folder)
@@ -94,7 +96,7 @@ def main() -> None:
     parser.add_argument("--data", type=Path, default=data_folder(), help="folder of " + DATA_FILE)
     data = read_measured(parser.parse_args().data / DATA_FILE)
     with tempfile.TemporaryDirectory() as folder, Client(load_settings(), patience_s=300.0) as client:
-        write(Path(folder), data)
+        write(Path(folder), data, FILMS, SIGMA_DEG)
         dataset, predictor = read_dataset(folder), Predictor(client)
         print(f"{'film':14} {'free':>4} {'chi2/value':>11} {'left-out angles':>16}   fitted")
         for film in FILMS:

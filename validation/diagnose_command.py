@@ -69,6 +69,8 @@ def diagnosing(
     subject = subject_of(model, None)
     observed = Observed.of(subject.dataset, pixel_um, film)
     paths = tuple(path for path in paths_of(subject.model, free) if not path.startswith("effects."))
+    if free is None and not observed.of_modules:  # films alone know nothing of the module's parameters
+        paths = ()
     solver = Solver(histories, seed)
     with (
         session(settings, subject, command, seed=seed, local=not no_local, say=say) as at,
@@ -174,7 +176,7 @@ def next_(
     """Name the measurement that would tell rival effects apart, with the sigma to expect and the stanza to fill."""
     from validation import told_diagnosis as told
     from validation.diagnose.frozen import slopes_of
-    from validation.diagnose.next_measurement import Rivals
+    from validation.diagnose.next_measurement import NO_FILM, Rivals
     from validation.diagnose.refit import refit
 
     rivals = effects or rivals_of(model)
@@ -183,6 +185,8 @@ def next_(
         runs=runs, router=router, no_local=no_local, say=not (as_json or quiet),
     ) as (engine, subject, at):  # fmt: skip
         specs = [engine.spec(name) for name in rivals]
+        if not engine.observed.images:
+            raise InputError("[data]", "no images", "data with images: further images are proposed", NO_FILM)
         base = engine.fitted(engine.model)
         scores = engine.scored(base, specs)
         slopes = slopes_of(base)

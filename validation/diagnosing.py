@@ -24,6 +24,7 @@ from validation.diagnose.next_measurement import Proposal, Rivals, next_in_words
 from validation.diagnose.refit import Refitted, finished, refit
 from validation.diagnose.score import Candidate, Projected, Score, scores
 from validation.effects.known import Known
+from validation.effects.signatures import Column
 from validation.fit import CurvesOf, Fit, fit
 from validation.observed import Observed
 from validation.prediction import Predictor
@@ -54,6 +55,8 @@ class Diagnosing:
     """Of the last verdict that could not tell effects apart."""
     refused: dict[str, str] = field(default_factory=dict)
     """Effects that cannot be had with these samples, with the reason."""
+    traced: dict[tuple[object, ...], list[Column]] = field(default_factory=dict)
+    """Columns of effects by Monte Carlo, kept from round to round."""
 
     def fitted(self, model: Model) -> Fit:
         """A model on these data; effects in it are fitted where its [fit] tables free them."""
@@ -78,11 +81,10 @@ class Diagnosing:
     @cached_property
     def effects(self) -> list[EffectSpec]:
         """Those that these data could show: of modules where there are images or far fields, of films else."""
-        images = bool(self.observed.images) or any(curve.free_scale for curve in self.observed.curves)
         spectra = any(not curve.free_scale for curve in self.observed.curves)
         for name in self.among:
             self.known.spec(name)
-        seen = [one for one in self.known.specs if (spectra if is_of_film(one) else images)]
+        seen = [one for one in self.known.specs if (spectra if is_of_film(one) else self.observed.of_modules)]
         return [one for one in seen if not self.among or one.name in self.among]
 
     @property
@@ -97,7 +99,7 @@ class Diagnosing:
 
     def signatures(self, found: Fit, effects: Sequence[EffectSpec]) -> list[Candidate]:
         """The whitened columns of effects at a fit."""
-        sight = FitSight.of(found, self.predictor, self.known.beyond_twin, self.solver.seed)
+        sight = FitSight.of(found, self.predictor, self.known.beyond_twin, self.solver.seed, self.traced)
         return candidates_of(
             found, effects, sight, lambda share, name: self.progress(0.1 + 0.4 * share, name), self.refused
         )
@@ -126,7 +128,7 @@ class Diagnosing:
         self.proposals = Rivals(found, rivals, self.predictor, self.known.beyond_twin).proposals(
             lambda share, words: self.progress(0.9 + 0.1 * share, words)
         )
-        return next_in_words(self.proposals)
+        return next_in_words(self.proposals, images=bool(self.observed.images))
 
     def diagnosed(self) -> Diagnosis:
         """The verdict."""

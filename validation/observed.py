@@ -40,6 +40,11 @@ class Observed:
         return cls(tuple(images), tuple(curves_of(spectra, measured_far_fields(dataset))), tuple(films), films_at)
 
     @property
+    def of_modules(self) -> bool:
+        """Whether any shot is of a module: an image, or a far field, whose scale is free."""
+        return bool(self.images) or any(curve.free_scale for curve in self.curves)
+
+    @property
     def shots(self) -> tuple[str, ...]:
         """The ids of all shots, images first."""
         return (*(image.shot.id for image in self.images), *(curve.id for curve in self.curves))

@@ -108,7 +108,7 @@ def _effect(row: Document) -> tuple[str, ...]:
         share = f"{100.0 * row['explained_share']:.0f} +- {100.0 * row['explained_share_error']:.0f} %"
     return (
         row["name"] + ("" if row["plausible"] else " (implausible)"),
-        size_in_words(name, size["value"], size["error"], size["unit"], row["shape"]),
+        size_in_words(name, size["value"], size["error"], size["unit"], row["shape"], row["fits_as_well"]),
         f"{row['chi2_drop']:.0f}",
         share,
         held,

@@ -28,7 +28,7 @@ from containers.ray_tracing.several_tops import with_tops
 from containers.ray_tracing.simulation import layout_of, refuse_other_film, solver_of
 from containers.ray_tracing.tally import GROUPS
 from containers.ray_tracing.twin.columns import CAMERA_COLUMNS, COLUMNS, CameraColumn, Column
-from containers.ray_tracing.twin.module import open_array
+from containers.ray_tracing.twin.module import Lights, open_array
 from containers.ray_tracing.twin.noise import MOST_FUNCTIONS
 from containers.ray_tracing.twin.prediction import (
     Anchor,
@@ -80,6 +80,7 @@ class Predictor:
         self._source, self._threads = source, threads or usable_cores()
         self._anchors: OrderedDict[str, Anchor] = OrderedDict()
         self._fields: OrderedDict[str, Field] = OrderedDict()  # by Monte Carlo: one run serves any camera
+        self._lights = Lights()  # of the twin's chips: what only cameras or places change has them again
 
     def answer(self, request: PredictionRequest, means: Means, progress: Progress) -> tuple[Document, Arrays]:
         """The result document of a request and its arrays.
@@ -110,7 +111,7 @@ class Predictor:
         _refuse_beyond_twin(request, shots)
         steps = _Steps(progress, len(shots) + sum(len(stencil_of(c, shot)) for c in columns for shot in shots))
         job = _Job(request, steps, self._source, self._threads)
-        supply = Supply(job.exits)
+        supply = Supply(job.exits, self._lights)
         if request.anchor is None:
             images, of_camera = twin_views(shots, supply, cameras, report=steps.image, **job.options)
             arrays: Arrays = {"images_per_mm2": images}

@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from luxloop.effect import AppliedEffect
 from luxloop.errors import InputError, RemoteError
 from luxloop.failure import Failure
 from luxloop.messages import Pending
-from luxloop.model import Model
+from luxloop.model import Fit, Model
 from luxloop.model_file import find_model
 from tests.validation.workers import Workers
 from validation.dataset.manifest import FilmLayer, FilmSample, Sample
@@ -353,6 +354,25 @@ def test_derivatives_of_curves_are_those_of_moved_films(workers: Workers, model:
             difference = (high.value - low.value) / (2.0 * h)
             np.testing.assert_allclose(found.jacobian[path], difference, rtol=2e-2, atol=2e-3 * abs(difference).max())
             assert not elsewhere.jacobian[path].any()
+
+
+def test_derivatives_of_curves_by_an_effect_are_those_of_the_model_moved(workers: Workers, model: Model) -> None:
+    """A layer that was missing, thicker and thinner; curves of two angles are one question for each model."""
+    path, at = "effects.film_missing_layer.thickness_nm", {"thickness_nm": 1.5, "material": "SiO2", "face": "inner"}
+    limits = {path: Fit(free=True, lower=0.0, upper=10.0)}
+    with_layer = model.model_copy(
+        update={"effects": (AppliedEffect(name="film_missing_layer", parameters=at),), "fit": model.fit | limits}
+    )
+    predictor, wave = Predictor(workers), np.array([450.0, 550.0])
+    curves = [
+        replace(curve("psi"), wavelength_nm=wave, aoi_deg=wave * 0.0 + aoi, polarisation=("", "")) for aoi in (60, 70)
+    ]
+    before = len(workers.of_kind("film"))
+    found = predictor.spectra(with_layer, curves, (path,))
+    assert len(workers.of_kind("film")) - before == 3
+    high, low = (predictor.spectra(with_layer.with_value(path, 1.5 + by), curves) for by in (0.02, -0.02))
+    for one, above, below in zip(found, high, low, strict=True):
+        np.testing.assert_allclose(one.jacobian[path], (above.value - below.value) / 0.04, rtol=1e-2)
 
 
 @pytest.mark.parametrize(

@@ -27,9 +27,19 @@ class FitSight(Sight):
 
     problem: Problem | None = None
     others: Mapping[str, float] = field(default_factory=dict)
+    traced: dict[tuple[object, ...], list[Column]] = field(default_factory=dict)
+    """By effect and shape: columns by Monte Carlo, of this fit or of one before it; their noise is larger than what
+    they change by from one round of a diagnosis to the next."""
 
     @classmethod
-    def of(cls, fit: Fit, predictor: Predictor, beyond_twin: frozenset[str] = frozenset(), seed: int = 1) -> FitSight:
+    def of(
+        cls,
+        fit: Fit,
+        predictor: Predictor,
+        beyond_twin: frozenset[str] = frozenset(),
+        seed: int = 1,
+        traced: dict[tuple[object, ...], list[Column]] | None = None,
+    ) -> FitSight:
         """About a fit."""
         by_name = fit.problem.unknowns.named(fit.values)
         views = [
@@ -37,7 +47,17 @@ class FitSight(Sight):
             for image in fit.problem.images
         ]
         others = {name: by_name[name] for name in fit.problem.unknowns.other_paths}
-        return cls(predictor, views, (), beyond_twin, seed=seed, problem=fit.problem, others=others)
+        known = {} if traced is None else traced
+        return cls(predictor, views, (), beyond_twin, seed=seed, problem=fit.problem, others=others, traced=known)
+
+    def signature(self, model: Model, spec: EffectSpec, shape: Mapping[str, Value]) -> list[Column]:
+        """The columns of an effect in a shape."""
+        if spec.twin:
+            return signature(self, model, spec, shape)
+        key = (spec.name, *shape.items())
+        if key not in self.traced:
+            self.traced[key] = signature(self, model, spec, shape)
+        return self.traced[key]
 
     def _curves(self, model: Model) -> Iterator[Real]:
         if self.problem is not None and self.problem.curves and self.problem.predict_curves is not None:
@@ -48,7 +68,7 @@ class FitSight(Sight):
 def candidates_of(
     fit: Fit,
     effects: Sequence[EffectSpec],
-    sight: Sight,
+    sight: FitSight,
     heard: Callable[[float, str], None] = lambda *_: None,
     refused: dict[str, str] | None = None,
 ) -> list[Candidate]:
@@ -74,13 +94,13 @@ def candidates_of(
 
 
 def _of_shape(
-    fit: Fit, spec: EffectSpec, shape: dict[str, Value], sight: Sight, projection: Projection
+    fit: Fit, spec: EffectSpec, shape: dict[str, Value], sight: FitSight, projection: Projection
 ) -> Iterator[Candidate]:
     words = tuple(shape.items())
     if not acting(spec):
         yield from _switches(fit, spec, shape, sight, projection)
         return
-    columns = signature(sight, fit.model, spec, shape)
+    columns = sight.signature(fit.model, spec, shape)
     for one in acting(spec):
         own = [column for column in columns if column.parameter == one.name]
         if own:
@@ -89,7 +109,7 @@ def _of_shape(
 
 
 def _switches(
-    fit: Fit, spec: EffectSpec, shape: dict[str, Value], sight: Sight, projection: Projection
+    fit: Fit, spec: EffectSpec, shape: dict[str, Value], sight: FitSight, projection: Projection
 ) -> Iterator[Candidate]:
     """The way from the model as it is to each other word, or value, of a parameter that has no slope at off."""
     for one in spec.parameters:

@@ -137,7 +137,7 @@ def _step(ground: Ground, effects: Sequence[EffectSpec], means: Means, seed: int
     means.progress(0.1, "signatures of the effects")
     projected = Projected.of(means.signatures(fit, effects), ground.projection)
     scored = scores(projected, fit.residual, fit.variance_scale, seed=seed)
-    best = {one.name: _columns_of(projected, one.best.candidate) for one in scored.effects}
+    best = {one.name: projected.own(one.best.candidate) for one in scored.effects}
     alike = confounding(best)
     if not is_visible(ground.structure.p, scored.p, level):
         verdict = not_trustworthy(fit.distrust) if fit.distrust else nothing_visible(limits_in_words(scored, level))
@@ -152,6 +152,8 @@ def _step(ground: Ground, effects: Sequence[EffectSpec], means: Means, seed: int
         means.progress(0.9, f"fitting {short[likely].name}")  # what is named is fitted to its end
         ended.add(likely)
         refits[likely] = finished(refits[likely], fit.problem.predictor, fit.problem.predict_curves)
+        short[likely] = as_fitted(projected, short[likely], refits[likely])
+        best[short[likely].name] = projected.own(short[likely].best.candidate)
         rivals = [other.name for other in short]
         explanations[likely] = _explanation(ground, short[likely], refits[likely], best, rivals)
 
@@ -190,11 +192,15 @@ def short_list(scored: Scores, alike: Confounding) -> list[EffectScore]:
     )
 
 
-def _columns_of(projected: Projected, candidate: Candidate) -> Real:
-    for one, part in zip(projected.candidates, projected.slices(), strict=True):
-        if one is candidate:
-            return projected.columns[part]
-    raise ValueError(f"{candidate.key} was not projected")
+def as_fitted(projected: Projected, score: EffectScore, found: Refitted) -> EffectScore:
+    """The score with the column of the words that the effect was fitted with, where those are others."""
+    words = {(name, value) for name, value in found.shape if isinstance(value, str)}
+    own = score.best.candidate
+    if words <= set(own.shape):
+        return score
+    same = (one for one in projected.candidates if (one.effect, one.parameter) == (own.effect, own.parameter))
+    other = next((one for one in same if words <= set(one.shape)), own)
+    return replace(score, best=replace(score.best, candidate=other, size=other.size(found.value)))
 
 
 def _explanation(
@@ -215,6 +221,7 @@ def _explanation(
         parameter=candidate.parameter.name,
         unit=candidate.parameter.unit,
         shape=found.shape,
+        as_well=found.as_well,
         value=found.value,
         error=found.error,
         drop=drop,
@@ -247,7 +254,7 @@ def _held_out(
     """The change of the density in data left out, and the rms errors; None where a held-out test is not possible."""
     if found.fit is None or not held.same_rows(base, found.fit):
         return None, None
-    folds = held.folds_by_blocks(base) if effect.scope == "per_sample" else held.folds_by_sample(base)
+    folds = held.folds_of(base, effect.scope)
     if not folds:
         return None, None
     before, after = held.held_out(base, folds), held.held_out(found.fit, folds)

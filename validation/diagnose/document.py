@@ -95,6 +95,7 @@ def effect_document(step: Step, one: Explanation) -> dict[str, Any]:
         "stage": spec.stage if spec is not None else "",
         "size": {one.parameter: {"value": one.value, "error": finite(one.error), "unit": one.unit}},
         "shape": dict(one.shape),
+        "fits_as_well": [list(words) for words in one.as_well],
         "chi2_drop": one.drop,
         "explained_share": one.share.value,
         "explained_share_error": finite(one.share.error),

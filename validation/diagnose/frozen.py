@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from luxloop.model import Model
 from validation.fit import CurveData, Fit
-from validation.fit.problem import CurvePredictor, ImagePredictor
+from validation.fit.problem import CurvePredictor, Evaluation, ImagePredictor, Problem
 from validation.prediction import Anchored, Predicted, PredictedCurve, View
 
 Real = NDArray[np.float64]
@@ -34,6 +34,10 @@ class FrozenImages:
     """Paths whose slopes are by the square."""
     lines: frozenset[str] = frozenset()
     """Effects that the twin cannot represent: the image is a straight line from where the anchor has them."""
+    others: Slopes | None = None
+    """The same slopes by the exits of another walk inside the chips; none: the same stand in for them."""
+    exit_seed: int = 1
+    """Of the walk of `slopes`."""
 
     def images(
         self, model: Model, views: Sequence[View], paths: Sequence[str] = (), anchor: Anchored | None = None
@@ -43,9 +47,10 @@ class FrozenImages:
         wanted = [path for path in paths if path in self.slopes]
         found = self.predictor.images(asked, views, [path for path in paths if path not in wanted], anchor)
         factors = {path: _factor(model, path, self.squares) for path in wanted}
+        walk = self.slopes if self.others is None or _walk(anchor) == self.exit_seed else self.others
         affected = []
         for number, one in enumerate(found):
-            slopes = {path: factors[path] * self.slopes[path][number] for path in wanted}
+            slopes = {path: factors[path] * walk[path][number] for path in wanted}
             added = sum((by * self.slopes[path][number] for path, by in along.items()), np.zeros(1))
             twin = None if one.twin_per_mm2 is None else one.twin_per_mm2 + added
             affected.append(
@@ -104,13 +109,46 @@ class FrozenCurves:
 def slopes_of(fit: Fit) -> dict[str, list[Real]]:
     """The derivatives at a fit, by path of the model."""
     at = fit.problem.evaluate(fit.values)
+    return _slopes(at, at.predicted)
+
+
+def frozen_at(problem: Problem, values: Real) -> Problem:
+    """The problem with the derivatives by its model that it has at these values, those of a second walk too."""
+    at = problem.evaluate(values)
+    slopes, others = _slopes(at, at.predicted), _slopes(at, at.others())
+    images = FrozenImages(problem.predictor, slopes, frozenset(), others=others, exit_seed=_walk(problem.anchor))
+    curves = problem.predict_curves
+    frozen = None if curves is None else FrozenCurves(curves, slopes, frozenset(), len(problem.images))
+    return replace(problem, predictor=images, predict_curves=frozen)
+
+
+def without(problem: Problem, path: str) -> Problem:
+    """A problem that is frozen, but for the derivatives by one path, which are asked for again."""
+    images, curves = problem.predictor, problem.predict_curves
+    if isinstance(images, FrozenImages):
+        others = None if images.others is None else _but(images.others, path)
+        images = replace(images, slopes=_but(images.slopes, path), others=others)
+    if isinstance(curves, FrozenCurves):
+        curves = replace(curves, slopes=_but(curves.slopes, path))
+    return replace(problem, predictor=images, predict_curves=curves)
+
+
+def _but(slopes: Slopes, path: str) -> Slopes:
+    return {name: slope for name, slope in slopes.items() if name != path}
+
+
+def _slopes(at: Evaluation, images: Sequence[Predicted]) -> dict[str, list[Real]]:
     return {
         path: [
-            *(one.jacobian_per_mm2[path] for one in at.predicted),
+            *(one.jacobian_per_mm2[path] for one in images),
             *(one.jacobian.get(path, np.zeros_like(one.value)) for one in at.predicted_curves),
         ]
-        for path in fit.problem.unknowns.model_paths
+        for path in at.problem.unknowns.model_paths
     }
+
+
+def _walk(anchor: Anchored | None) -> int:
+    return 1 if anchor is None else anchor.exit_seed
 
 
 def _factor(model: Model, path: str, squares: frozenset[str]) -> float:

@@ -1,4 +1,4 @@
-"""The error in images that a fit has not seen: all shots of one sample are left out in turn, never random pixels.
+"""The error in data that a fit has not seen: all shots of one sample are left out in turn, never random pixels.
 
     fold     the model's parameters from the other samples, on the linear model at the fit
     there    gain, offset, place and turn of the left-out images are fitted in them, nothing else
@@ -16,8 +16,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from luxloop.effect import Scope
 from validation.fit import Fit
 from validation.fit.whitening import Whitening
+from validation.measured import MeasuredSpectrum
 
 Real = NDArray[np.float64]
 Rows = NDArray[np.intp]
@@ -65,7 +67,7 @@ def held_out(fit: Fit, folds: Sequence[tuple[str, Rows]]) -> HeldOut:
     plain = _plain(fit)
     residual, columns, noise, level = plain
     left, order = [], []
-    shared = np.array([not _is_nuisance(name, fit) for name in fit.names])
+    shared = np.array([not _is_nuisance(name, fit) for name in fit.names], bool)
     for _, rows in folds:
         kept = np.setdiff1d(np.arange(len(residual)), rows)
         change = _solved(fit, columns[:, kept], residual[kept], fit.active)
@@ -111,13 +113,34 @@ def folds_by_sample(fit: Fit) -> list[tuple[str, Rows]]:
     return [(name, np.flatnonzero(rows == k)) for k, name in enumerate(names)] if len(names) > 1 else []
 
 
+def folds_of(fit: Fit, scope: Scope = "global") -> list[tuple[str, Rows]]:
+    """What is left out in turn: samples; for an effect that each sample has its own of, parts of every sample.
+
+    Spectra of one film are parted by their angles, images in halves. Without folds: images of one sample else.
+    """
+    if scope != "per_sample" and (folds := folds_by_sample(fit)):
+        return folds
+    if fit.problem.images or not all(isinstance(one.source, MeasuredSpectrum) for one in fit.problem.curves):
+        return folds_by_blocks(fit) if scope == "per_sample" else []
+    return folds_by_angle(fit) or folds_by_blocks(fit)
+
+
+def folds_by_angle(fit: Fit) -> list[tuple[str, Rows]]:
+    """All rows of each angle of incidence, psi and delta together; a single angle: no folds."""
+    sources = [curve.source for curve in fit.problem.curves if isinstance(curve.source, MeasuredSpectrum)]
+    angles = np.concatenate([one.table.aoi_deg for one in sources])
+    several = np.unique(angles)
+    return [(f"{angle:g} deg", np.flatnonzero(angles == angle)) for angle in several] if len(several) > 1 else []
+
+
 def folds_by_blocks(fit: Fit) -> list[tuple[str, Rows]]:
-    """Two halves, blocks of 16 pixels in turn: for effects that every sample has its own of."""
+    """Two halves, blocks of 16 pixels, or of 16 values of a curve, in turn; a short curve has two blocks."""
     halves = []
     for image in fit.problem.images:
         row, column = np.nonzero(image.used)
         halves.append((row // BLOCK_PX + column // BLOCK_PX) % 2)
-    halves += [np.arange(len(curve.value)) // BLOCK_PX % 2 for curve in fit.problem.curves]
+    counts = [len(curve.value) for curve in fit.problem.curves]
+    halves += [np.arange(count) // min(BLOCK_PX, -(-count // 2)) % 2 for count in counts]
     side = np.concatenate(halves)
     return [("even blocks", np.flatnonzero(side == 0)), ("odd blocks", np.flatnonzero(side == 1))]
 

@@ -12,7 +12,7 @@ from luxloop.errors import InputError
 from luxloop.model import Model
 from luxloop.model_file import parse_toml
 from validation.diagnose.ground import Ground
-from validation.diagnose.held_out import folds_by_sample, held_out
+from validation.diagnose.held_out import folds_of, held_out
 from validation.fit.model_noise import told_variance
 from validation.model_versions import Version
 
@@ -28,7 +28,7 @@ class Rung:
 
     fitted_percent: float
     held_out_percent: float | None
-    """None: there is one sample only."""
+    """None: there are images of one sample only."""
     noise_percent: float
     """Of the camera and of the prediction's own Monte Carlo: what a right model leaves."""
     p: float
@@ -51,7 +51,7 @@ class Rung:
             noise = float(sum(np.sum(sigma**2) for sigma in fit.whitening.curve_sigma))
             level = float(sum(np.sum(np.abs(curve.value)) for curve in fit.problem.curves))
         percent = 100.0 * np.sqrt(count) / level
-        folds = folds_by_sample(fit)
+        folds = folds_of(fit)
         held = held_out(fit, folds).rms_percent if folds else None
         return cls(float(percent * np.sqrt(squares)), held, float(percent * np.sqrt(noise)), ground.structure.p)
 

@@ -147,10 +147,14 @@ def candidates_of(samples: Sequence[Sample]) -> Iterator[tuple[str, Sample, floa
     yield f"{base.id} again at {EXPOSURES:g} times the exposure (or frames)", base, EXPOSURES
 
 
-def next_in_words(proposals: Sequence[Proposal]) -> str:
-    """The sentence that a verdict ends with."""
+NO_IMAGE = "No further image of these samples would separate them: measure the camera's own targets first."
+NO_FILM = "measure the films' thickness or index by another method, and fix them in the data set"
+
+
+def next_in_words(proposals: Sequence[Proposal], *, images: bool = True) -> str:
+    """The sentence that a verdict ends with; `images`: whether there are any, for no others are proposed."""
     if not proposals:
-        return "No further image of these samples would separate them: measure the camera's own targets first."
+        return NO_IMAGE if images else f"To separate them, {NO_FILM}."
     best = proposals[0]
     return (
         f"Take one image: {best.words}: expected separation {best.expected_sigma:.0f} sigma"

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,11 +18,11 @@ from luxloop.effect import EffectParameter, Value
 from luxloop.model import Fit as Limits
 from luxloop.model import Model
 from validation.diagnose.evidence import logs_of_spreads
-from validation.diagnose.frozen import FrozenCurves, FrozenImages, Slopes
+from validation.diagnose.frozen import FrozenCurves, FrozenImages, Slopes, frozen_at, without
 from validation.effects.known import applied, off_values, with_effect
 from validation.fit import Fit, prior_chi2, refitted, unknowns_of
 from validation.fit.image_fit import ANCHOR_MOVE, MAX_ANCHORS
-from validation.fit.problem import CurvePredictor, ImagePredictor
+from validation.fit.problem import CurvePredictor, ImagePredictor, Problem
 from validation.prediction import Anchored
 from validation.prediction.differences import stencil
 
@@ -33,8 +34,16 @@ Real = NDArray[np.float64]
 LEAST_SHARE = 1e-3
 """Of its range: where a parameter starts whose image goes with its square, at whose off nothing has a slope."""
 
+MOST_HALVINGS = 4
+
 SLOPE_SHARE = 0.1
 """Of its range: by which an effect that the twin cannot represent is moved for the slope at its own value."""
+
+AS_WELL = 2.0
+"""Of chi2, within which words fit as well, and the first in the catalogue's order, the most usual ones, are taken:
+differences of Akaike's criterion below 2 decide nothing (Burnham and Anderson, Model Selection, 2002)."""
+
+Words = tuple[str, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +63,9 @@ class Refitted:
     """None for a group: its members are known one by one, not as one number."""
     fit: Fit | None
     """None for a group, whose members are reckoned on the linear model."""
+
+    as_well: tuple[Words, ...] = ()
+    """Other words of its shape, with which it fits as well."""
 
     @property
     def shape(self) -> tuple[tuple[str, Value], ...]:
@@ -97,16 +109,27 @@ def refit(base: Fit, score: Score, slopes: Slopes) -> Refitted:
 
 
 def freed(base: Fit, score: Score, slopes: Slopes) -> Refitted:
-    """The effect's parameter is one more unknown, begun where the score test expects it."""
+    """The effect's parameter is one more unknown, begun where the score test expects it.
+
+    Or half as far from off, as often as the images there are worse than without it: beyond a straight line's reach.
+    """
     candidate = score.candidate
     lower, upper = limits_of(candidate.parameter)
     least = LEAST_SHARE * (upper - lower)
-    start = float(np.clip(candidate.value(score.size), lower + least, upper - least))
     path = path_of(candidate.effect.name, candidate.parameter.name)
     squares = frozenset([path] if candidate.parameter.score_variable == "square" else [])
-    model = added(base.model, candidate, start)
     lines = frozenset() if candidate.effect.twin else frozenset([candidate.effect.name])
-    found = _again(base, model, {**slopes, path: candidate.parts}, {path: start}, squares, lines)
+    slopes = {**slopes, path: candidate.parts}
+    frozen = _frozen(base.problem, slopes, squares, lines)
+    at, size = base.problem.unknowns.named(base.values), score.size
+    for _ in range(1 + MOST_HALVINGS):
+        start = float(np.clip(candidate.value(size), lower + least, upper - least))
+        problem, values = _posed(frozen, added(base.model, candidate, start), tuple(slopes), at | {path: start})
+        residual = problem.evaluate(values).residual(base.whitening)
+        if residual @ residual <= base.chi2:
+            break
+        size = 0.5 * candidate.size(start)
+    found = refitted(problem, values)
     return Refitted(
         candidate, found.value(path), found.error(path), found.residual, _chi2(found), path in found.at_limit,
         found.model, found,
@@ -115,7 +138,8 @@ def freed(base: Fit, score: Score, slopes: Slopes) -> Refitted:
 
 def switched(base: Fit, candidate: Candidate, slopes: Slopes) -> Refitted:
     """The effect is there, with the word of its shape."""
-    found = _again(base, added(base.model, candidate, None), slopes, {})
+    frozen, start = _frozen(base.problem, slopes), base.problem.unknowns.named(base.values)
+    found = refitted(*_posed(frozen, added(base.model, candidate, None), tuple(slopes), start))
     return Refitted(candidate, 1.0, 0.0, found.residual, _chi2(found), False, found.model, found)
 
 
@@ -151,32 +175,51 @@ def finished(found: Refitted, predictor: ImagePredictor, curves: CurvePredictor 
     if not spec.twin:
         return _at_its_value(found, fit, predictor)
     problem = replace(fit.problem, predictor=predictor, predict_curves=curves)
-    own = _best_word(found, refitted(problem, fit.values))
+    own, as_well = _best_words(found, problem, fit.values)
     shapes = [one for one in spec.parameters if one.off is None and not one.choices and one.shape_grid]
     if shapes and not found.candidate.is_switch:
         limits = {path_of(spec.name, one.name): limits_of(one) for one in shapes}
         opened = {path: Limits(free=True, lower=low, upper=high) for path, (low, high) in limits.items()}
         model = own.model.model_copy(update={"fit": own.model.fit | opened})
         start = own.problem.unknowns.named(own.values) | {path: own.model.leaves()[path] for path in limits}
-        better = _moved(own, model, (*own.problem.unknowns.model_paths, *limits), start)
+        better = _renewed(*_posed(problem, model, (*own.problem.unknowns.model_paths, *limits), start))
         if better.converged and not any(path in better.at_limit for path in limits):
             own = better
-    return _with(found, own)
+    return replace(_with(found, own), as_well=as_well)
 
 
-def _best_word(found: Refitted, own: Fit) -> Fit:
-    """The fit with the words of the effect's shape (a law, a profile) that leave the least chi2."""
+def _best_words(found: Refitted, problem: Problem, values: Real) -> tuple[Fit, tuple[Words, ...]]:
+    """The fit with the best words of the effect's shape (a law, a profile), and other words that fit as well."""
     spec = found.candidate.effect
-    best = own
-    for one in [one for one in spec.parameters if one.off is None and one.choices and not found.candidate.is_switch]:
-        for word in one.choices:
-            values = next(effect.parameters for effect in best.model.effects if effect.name == spec.name)
-            if word == values[one.name]:
-                continue
-            model = with_effect(best.problem.model, applied(spec, dict(values) | {one.name: word}))
-            other = _moved(best, model, best.problem.unknowns.model_paths, best.problem.unknowns.named(best.values))
-            best = other if _chi2(other) < _chi2(best) else best
-    return best
+    words = [one for one in spec.parameters if one.off is None and one.choices and not found.candidate.is_switch]
+    if not words:
+        return _renewed(problem, values), ()
+    tried = next(dict(effect.parameters) for effect in problem.model.effects if effect.name == spec.name)
+    own = _renewed(problem, values)
+    known, start = without(own.problem, path_of(spec.name, found.candidate.parameter.name)), own.problem.unknowns
+    fits = {}
+    for said in product(*(one.choices for one in words)):
+        wanted = tried | dict(zip((one.name for one in words), said, strict=True))
+        model = with_effect(problem.model, applied(spec, wanted))
+        posed = _posed(known, model, start.model_paths, start.named(own.values))
+        fits[said] = own if wanted == tried else _renewed(*posed)
+    fits = {said: fit for said, fit in fits.items() if fit.trusted} or fits
+    least = min(map(_chi2, fits.values()))
+    first, *others = (said for said, fit in fits.items() if _chi2(fit) <= least + AS_WELL)
+    return fits[first], tuple(others)
+
+
+def _renewed(problem: Problem, values: Real) -> Fit:
+    """The fit with derivatives of its own: those where it begins, renewed where it has moved away from there."""
+    found = refitted(frozen_at(problem, values), values)
+    for _ in range(MAX_ANCHORS - 1):
+        paths = problem.unknowns.model_paths
+        at = dict(zip(found.names, values, strict=True))
+        if all(abs(found.value(path) - at[path]) <= ANCHOR_MOVE * found.error(path) for path in paths):
+            break
+        values = found.values
+        found = refitted(frozen_at(replace(problem, images=found.problem.images), values), values)
+    return found
 
 
 def _at_its_value(found: Refitted, fit: Fit, predictor: ImagePredictor) -> Refitted:
@@ -230,34 +273,24 @@ def _with(found: Refitted, fit: Fit) -> Refitted:
     )  # fmt: skip
 
 
-def _again(
-    base: Fit,
-    model: Model,
-    slopes: Slopes,
-    start: dict[str, float],
-    squares: frozenset[str] = frozenset(),
-    lines: frozenset[str] = frozenset(),
-) -> Fit:
-    """The fit of another model about the same anchor, from where the base stood, with slopes that stay."""
-    problem = base.problem
+def _frozen(
+    problem: Problem, slopes: Slopes, squares: frozenset[str] = frozenset(), lines: frozenset[str] = frozenset()
+) -> Problem:
+    """The problem about the same anchor, with slopes that stay."""
     curves = problem.predict_curves
-    frozen = replace(
-        base,
-        problem=replace(
-            problem,
-            predictor=FrozenImages(problem.predictor, slopes, squares, lines),
-            predict_curves=None if curves is None else FrozenCurves(curves, slopes, squares, len(problem.images)),
-        ),
+    return replace(
+        problem,
+        predictor=FrozenImages(problem.predictor, slopes, squares, lines),
+        predict_curves=None if curves is None else FrozenCurves(curves, slopes, squares, len(problem.images)),
     )
-    return _moved(frozen, model, tuple(slopes), problem.unknowns.named(base.values) | start)
 
 
-def _moved(base: Fit, model: Model, paths: Sequence[str], start: dict[str, float]) -> Fit:
-    problem, known = base.problem, base.problem.unknowns
+def _posed(problem: Problem, model: Model, paths: Sequence[str], start: dict[str, float]) -> tuple[Problem, Real]:
+    """The problem with another model, of which these paths move, and the values to start from."""
+    known = problem.unknowns
     films = [one for one in known.parameters if one.name in known.other_paths]
     unknowns = unknowns_of(model, paths, problem.images, problem.curves, films, problem.discrepancies)
-    values = np.array([start[name] for name in unknowns.names])
-    return refitted(replace(problem, model=model, unknowns=unknowns), values)
+    return replace(problem, model=model, unknowns=unknowns), np.array([start[name] for name in unknowns.names])
 
 
 def _chi2(fit: Fit) -> float:

@@ -80,6 +80,11 @@ class Candidate:
         off = self.parameter.off
         return size + (off if isinstance(off, float) else 0.0)
 
+    def size(self, value: float) -> float:
+        """The size of its score variable at a value of the parameter."""
+        off = self.parameter.off if isinstance(self.parameter.off, float) else 0.0
+        return value**2 if self.parameter.score_variable == "square" else value - off
+
 
 @dataclass(frozen=True, eq=False)
 class Score:
@@ -163,6 +168,13 @@ class Projected:
             tuple(left),
             tuple(name for name in names if name not in seen),
         )
+
+    def own(self, candidate: Candidate) -> Real:
+        """The columns of a candidate; ValueError where it was not kept."""
+        for one, part in zip(self.candidates, self.slices(), strict=True):
+            if one is candidate:
+                return self.columns[part]
+        raise ValueError(f"{candidate.key} was not projected")
 
     def slices(self) -> list[slice]:
         """The columns of each candidate."""

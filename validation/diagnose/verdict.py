@@ -41,6 +41,8 @@ class Explanation:
     error: float
     shape: tuple[tuple[str, Value], ...]
     """What only shapes it, as it was fitted."""
+    as_well: tuple[tuple[str, ...], ...]
+    """Other words of its shape, with which it fits as well."""
     drop: float
     """Of chi2."""
     share: Share
@@ -63,16 +65,24 @@ class Explanation:
     @property
     def size(self) -> str:
         """For people."""
-        return size_in_words(self.parameter, self.value, self.error, self.unit, dict(self.shape))
+        return size_in_words(self.parameter, self.value, self.error, self.unit, dict(self.shape), self.as_well)
 
 
-def size_in_words(parameter: str, value: float, error: float | None, unit: str, shape: Mapping[str, Value]) -> str:
-    """A size and what shapes it: "edge_loss 0.078 +- 0.0028 (law cos4)"."""
+def size_in_words(
+    parameter: str,
+    value: float,
+    error: float | None,
+    unit: str,
+    shape: Mapping[str, Value],
+    as_well: Sequence[Sequence[str]] = (),
+) -> str:
+    """A size and what shapes it: "edge_loss 0.078 +- 0.0028 (law cos4; as well: quadratic)"."""
     known = "" if error is None or not math.isfinite(error) else f" +- {error:.2g}"
     shaped = ", ".join(
         f"{name} {one:.4g}" if isinstance(one, float) else f"{name} {one}" for name, one in shape.items()
     )
-    return f"{parameter} {value:.3g}{known} {unit}".rstrip() + (f" ({shaped})" if shaped else "")
+    others = f"; as well: {', '.join(' '.join(words) for words in as_well)}" if as_well else ""
+    return f"{parameter} {value:.3g}{known} {unit}".rstrip() + (f" ({shaped}{others})" if shaped else "")
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 from luxloop.effect import AppliedEffect, EffectParameter, EffectSpec, Value, did_you_mean
@@ -63,12 +64,13 @@ def _off(one: EffectParameter, chips: int) -> Value:
 
 
 def shapes_of(spec: EffectSpec) -> list[dict[str, Value]]:
-    """The points of an effect's shape grid: each value of each parameter without off, the others in the middle."""
-    middle = {one.name: _off(one, 0) for one in spec.parameters if one.off is None and not one.per_chip}
-    points = [middle]
-    for one in spec.parameters:
-        if one.name in middle:
-            points += [middle | {one.name: value} for value in one.shape_grid or one.choices]
+    """The points of an effect's shape grid: each number with all else in the middle, every combination of words."""
+    free = [one for one in spec.parameters if one.off is None and not one.per_chip]
+    middle = {one.name: _off(one, 0) for one in free}
+    words = [one for one in free if one.choices]
+    said = product(*(one.choices for one in words))
+    points = [middle, *(middle | {one.name: value} for one in free for value in one.shape_grid)]
+    points += [middle | dict(zip((one.name for one in words), some, strict=True)) for some in said]
     return [point for number, point in enumerate(points) if point not in points[:number]]
 
 

@@ -90,7 +90,7 @@ class Sight:
     def _traced(self, models: Iterable[Model], wanted: Sequence[int]) -> Iterator[list[Real]]:
         asked = [self.views[number] for number in wanted]
         for model in models:
-            anchor = Anchored(model, self.histories, self.seed)
+            anchor = Anchored(model, self.histories, self.seed, stored_exits=True)
             found = self.predictor.images(model, asked, (), anchor) if asked else []
             yield [one.irradiance_per_mm2 for one in found]
 
@@ -278,7 +278,7 @@ class Projection:
 def _nuisances(problem: Problem) -> NDArray[np.bool_]:
     """Which unknowns are no parameters of the model or of films."""
     parameters = {*problem.unknowns.model_paths, *problem.unknowns.other_paths}
-    return np.array([name not in parameters for name in problem.unknowns.names])
+    return np.array([name not in parameters for name in problem.unknowns.names], bool)
 
 
 def projected(columns: Sequence[Column], projection: Projection) -> Real:

@@ -17,7 +17,7 @@ class Predictor(Protocol):
     """Asks the workers (`validation.prediction.Predictor`)."""
 
     def spectra(self, model: Model, curves: Sequence[Curve], paths: Sequence[str] = ()) -> list[PredictedCurve]:
-        """The spectra of films, with derivatives by paths of films."""
+        """The spectra of films, with derivatives by paths of films and of effects."""
 
     def far_fields(self, model: Model, views: Sequence[FarView], paths: Sequence[str] = ()) -> list[PredictedCurve]:
         """The far fields of samples, with derivatives by paths of the model."""
@@ -37,7 +37,8 @@ class CurvesOf:
         spectra = {n: one.source for n, one in enumerate(curves) if isinstance(one.source, MeasuredSpectrum)}
         if spectra:
             asked = [_spectrum(one, others) for one in spectra.values()]
-            found |= dict(zip(spectra, self._predictor.spectra(model, asked, tuple(others)), strict=True))
+            of_films = (*others, *(path for path in paths if path.startswith("effects.")))
+            found |= dict(zip(spectra, self._predictor.spectra(model, asked, of_films), strict=True))
         far = {n: one.source for n, one in enumerate(curves) if isinstance(one.source, MeasuredFarField)}
         if far:
             views = [FarView(one.sample, one.table.theta_deg, one.table.phi_deg) for one in far.values()]

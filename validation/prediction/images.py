@@ -197,7 +197,7 @@ def _image_request(wanted: Wanted, views: Sequence[View], group: Sequence[int]) 
     poses = at.poses or [Pose()] * len(views)
     seen = [replace(views[number], pose=poses[number], sensor=None) for number in group]
     anchored = tuple(_shot(at.model, view, wanted.film_of) for view in seen)
-    anchor = AnchorRequest(shots=anchored, histories=at.histories, seed=str(at.seed))
+    anchor = AnchorRequest(shots=anchored, histories=at.histories, seed=str(at.seed), stored_exits=at.stored_exits)
     return PredictionRequest(shots=shots, columns=wanted.poses, anchor=anchor, exit_seed=wanted.exit_seed)
 
 

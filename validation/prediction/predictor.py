@@ -84,7 +84,7 @@ class Predictor:
         return self._again(ask)
 
     def spectra(self, model: Model, curves: Sequence[Curve], paths: Sequence[str] = ()) -> list[PredictedCurve]:
-        """The expected spectra of films; paths are "films.ID.layers.N.thickness_nm", ".a" or ".b_um2"."""
+        """The expected spectra of films; paths: "films.ID.layers.N.thickness_nm", ".a", ".b_um2", and effects'."""
         return spectra.predict(model, curves, tuple(paths), self._answers)
 
     def far_fields(

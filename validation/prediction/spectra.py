@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from luxloop.errors import InputError
 from luxloop.film import FilmMeasurementRequest
 from luxloop.stack import Layer, Medium, Stack
-from luxloop.words import parse
+from luxloop.words import parse, sha256_of
 from validation.dataset.manifest import FilmLayer, FilmSample
-from validation.prediction.differences import stencil, step_of
+from validation.prediction.differences import moved_models, stencil, step_of
 from validation.prediction.words import Curve, PredictedCurve, Real
 
 if TYPE_CHECKING:
@@ -40,22 +40,27 @@ def stack_of(film: FilmSample) -> Stack:
 
 
 def predict(model: Model, curves: Sequence[Curve], paths: tuple[str, ...], ask: Ask) -> list[PredictedCurve]:
-    """The curves, in their order; by a path of another film than the curve's it has derivative 0."""
+    """The curves, in their order; by a path of another film than the curve's it has derivative 0.
+
+    `paths` : of films, and of effects of the model.
+    """
     known = [f"films.{curve.film.id}." for curve in curves]
     for path in paths:
-        if not any(path.startswith(prefix) for prefix in known):
+        if not any(path.startswith(prefix) for prefix in (*known, "effects.")):
             raise InputError(
                 "path", path, f"a path below {', '.join(sorted(set(known)))}", "name a film of the curves"
             )
-    asked = [(curve, [("", 1.0, curve), *_moved(curve, paths)]) for curve in curves]
-    answers = iter(ask([request for _, some in asked for *_, one in some for _, request in _grids(one, model)]))
+    moved = [list(_moved(model, curve, paths)) for curve in curves]
+    wanted = [
+        one for curve, some in zip(curves, moved, strict=True) for one in [(model, curve), *(m[2:] for m in some)]
+    ]
+    values = iter(_values(wanted, ask))
     found = []
-    for curve, some in asked:
-        (_, _, at), *moved = some
-        value = _rows(at, model, answers)
+    for curve, some in zip(curves, moved, strict=True):
+        value = next(values)
         columns = {path: np.zeros(value.size) for path in paths}
-        for path, weight, one in moved:  # weights sum up to 0, so differences to the value may be taken
-            columns[path] += weight * _near(_rows(one, model, answers) - value, curve.quantity)
+        for path, weight, *_ in some:  # weights sum up to 0, so differences to the value may be taken
+            columns[path] += weight * _near(next(values) - value, curve.quantity)
         found.append(PredictedCurve(value, columns))
     return found
 
@@ -93,50 +98,56 @@ def _place(film: FilmSample, path: str) -> tuple[int, str]:
     return int(found[1]), found[2]
 
 
-def _moved(curve: Curve, paths: Sequence[str]) -> Iterator[tuple[str, float, Curve]]:
-    """The curve of films moved along each path that is one of its film."""
+def _moved(model: Model, curve: Curve, paths: Sequence[str]) -> Iterator[tuple[str, float, Model, Curve]]:
+    """Model and curve moved along each path of an effect, and of the curve's film, with the path and the weight."""
     for path in paths:
-        if not path.startswith(f"films.{curve.film.id}."):
-            continue
-        value, film = film_value(curve.film, path), curve.film
-        step = step_of(path, 0.0)
-        step = max(step, THICKNESS_SHARE * value) if path.endswith("thickness_nm") else step
-        for weight, moved in stencil(partial(_along, film, path, value), step, path):
-            yield path, weight, replace(curve, film=moved)
+        if path.startswith("effects."):
+            for weight, other in moved_models(model, path):
+                yield path, weight, other, curve
+        elif path.startswith(f"films.{curve.film.id}."):
+            value, film = film_value(curve.film, path), curve.film
+            step = step_of(path, 0.0)
+            step = max(step, THICKNESS_SHARE * value) if path.endswith("thickness_nm") else step
+            for weight, moved in stencil(partial(_along, film, path, value), step, path):
+                yield path, weight, model, replace(curve, film=moved)
 
 
 def _along(film: FilmSample, path: str, value: float, by: float) -> FilmSample:
     return with_film_value(film, path, value + by)
 
 
-def _grids(curve: Curve, model: Model) -> Iterator[tuple[NDArray[np.intp], FilmMeasurementRequest]]:
-    """Requests for all rows of a curve, with the numbers of their rows: one for each polarisation."""
+def _values(wanted: Sequence[tuple[Model, Curve]], ask: Ask) -> list[Real]:
+    """The values of the rows of each curve; curves that differ in their angles alone are asked for together."""
+    parts = [(number, *part) for number, (model, curve) in enumerate(wanted) for part in _parts(curve, model)]
+    together: dict[str, FilmMeasurementRequest] = {}
+    for _, _, key, request in parts:
+        held = together.get(key, request)
+        angles = tuple(sorted({*held.aoi_deg, *request.aoi_deg}))
+        together[key] = held if angles == held.aoi_deg else held.model_copy(update={"aoi_deg": angles})
+    answers = dict(zip(together, ask(list(together.values())), strict=True))
+    values = [np.zeros(len(curve.wavelength_nm)) for _, curve in wanted]
+    for number, rows, key, _ in parts:
+        curve, grid = wanted[number][1], np.asarray(answers[key].arrays["value"], np.float64)
+        wave = np.searchsorted(together[key].wavelength_nm, curve.wavelength_nm[rows])
+        values[number][rows] = grid[wave, np.searchsorted(together[key].aoi_deg, curve.aoi_deg[rows])]
+    return values
+
+
+def _parts(curve: Curve, model: Model) -> Iterator[tuple[NDArray[np.intp], str, FilmMeasurementRequest]]:
+    """For each polarisation of a curve its rows' numbers, the hash of all but their angles, and the request."""
     polarisation = np.array([one or "u" for one in curve.polarisation])
     for one in np.unique(polarisation):
         rows = np.flatnonzero(polarisation == one)
-        yield (
-            rows,
-            FilmMeasurementRequest(
-                stack=stack_of(curve.film),
-                effects=model.effects,
-                quantity=curve.quantity,
-                wavelength_nm=tuple(np.unique(curve.wavelength_nm[rows]).tolist()),
-                aoi_deg=tuple(np.unique(curve.aoi_deg[rows]).tolist()),
-                polarisation=str(one),
-                bandwidth_nm=curve.bandwidth_nm,
-            ),
+        request = FilmMeasurementRequest(
+            stack=stack_of(curve.film),
+            effects=model.effects,
+            quantity=curve.quantity,
+            wavelength_nm=tuple(np.unique(curve.wavelength_nm[rows]).tolist()),
+            aoi_deg=tuple(np.unique(curve.aoi_deg[rows]).tolist()),
+            polarisation=str(one),
+            bandwidth_nm=curve.bandwidth_nm,
         )
-
-
-def _rows(curve: Curve, model: Model, answers: Iterator[Answer]) -> Real:
-    """The values of a curve's rows, out of the next answers."""
-    value = np.zeros(len(curve.wavelength_nm))
-    for rows, request in _grids(curve, model):
-        grid = np.asarray(next(answers).arrays["value"], np.float64)
-        wave = np.searchsorted(request.wavelength_nm, curve.wavelength_nm[rows])
-        aoi = np.searchsorted(request.aoi_deg, curve.aoi_deg[rows])
-        value[rows] = grid[wave, aoi]
-    return value
+        yield rows, sha256_of(request.model_dump(mode="json", exclude={"aoi_deg"})), request
 
 
 def _near(difference: Real, quantity: str) -> Real:

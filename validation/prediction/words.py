@@ -78,6 +78,8 @@ class Anchored:
     """One for each view: where the difference between Monte Carlo and twin is seen from; none: unmoved cameras."""
     exit_seed: int = 1
     """Of the walk inside chips whose exits the twin lands: its derivatives have noise of their own."""
+    stored_exits: bool = False
+    """Whether Monte Carlo lands exits of that walk, too: what stands around a chip is moved without walking anew."""
 
 
 @dataclass(frozen=True, eq=False)

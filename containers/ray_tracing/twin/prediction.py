@@ -81,18 +81,18 @@ class Supply:
     Parameters
     ----------
     make : from a scene to exits of its chip, with notes; always with one seed, so that chips share random numbers.
+    lights : of chips that are known already; they only save time.
 
     Notes
     -----
     What a chip gets is a function of the chip and its base; what is remembered only saves time.
     """
 
-    def __init__(self, make: Callable[[Scene], Exits]) -> None:
-        self._make = make
+    def __init__(self, make: Callable[[Scene], Exits], lights: Lights | None = None) -> None:
+        self._make, self.lights = make, Lights() if lights is None else lights
         self._known: OrderedDict[tuple[int, ...], tuple[Scene, str]] = OrderedDict()
         self._walked: OrderedDict[str, Exits] = OrderedDict()
         self._found: OrderedDict[tuple[str, str], Exits] = OrderedDict()
-        self.lights = Lights()
 
     def of(self, scene: Scene, base: Scene | None = None) -> Exits:
         """Exits of the scene's chip: the base's where they can stand for them, else its own."""

@@ -17,7 +17,7 @@ from luxloop.effect import AppliedEffect
 from luxloop.model import Model
 from tests.validation.analytic import ARRAY, HALO, MODEL, PATHS, SIGMA, SINGLE, Spots, blank
 from tests.validation.diagnose.made_up import GAIN, THIRD, seen, spec
-from validation.diagnose.frozen import FrozenImages, slopes_of
+from validation.diagnose.frozen import FrozenImages, frozen_at, slopes_of, without
 from validation.diagnose.refit import Refitted, finished, freed
 from validation.diagnose.score import Candidate, Score
 from validation.effects.known import applied, with_effect
@@ -161,3 +161,43 @@ def test_derivatives_that_are_not_given_are_asked_for() -> None:
         np.testing.assert_array_equal(one.jacobian_per_mm2[HALO], 1.0)
         for path in (SIGMA, "shift_row_px"):
             np.testing.assert_array_equal(one.jacobian_per_mm2[path], of_its_own.jacobian_per_mm2[path])
+
+
+class Walks(Spots):
+    """Spots whose derivatives have an error that is another one for each walk inside the chips."""
+
+    def images(
+        self, model: Model, views: Sequence[View], paths: Sequence[str] = (), anchor: Anchored | None = None
+    ) -> list[Predicted]:
+        """As workers answer."""
+        error = 1.0 if anchor is None else 1.0 + 0.01 * anchor.exit_seed
+        found = super().images(model, views, paths, anchor)
+        return [
+            replace(one, jacobian_per_mm2={path: error * slope for path, slope in one.jacobian_per_mm2.items()})
+            for one in found
+        ]
+
+
+def test_frozen_derivatives_keep_those_of_the_second_walk() -> None:
+    """Errors rest on columns of two walks; one that is let go is asked for again, of the walk that is wanted."""
+    fit_ = fit(MODEL, data(), Walks(), free=PATHS)
+    problem = replace(fit_.problem, anchor=Anchored(MODEL, 0))
+    frozen = frozen_at(problem, fit_.values)
+    moved = fit_.values + 0.01 * np.abs(fit_.values)
+    there, of_another = frozen.evaluate(moved).predicted[0], frozen.evaluate(moved).others()[0]
+    at, after = (one.evaluate(values).predicted[0] for one, values in ((problem, fit_.values), (problem, moved)))
+    partly = without(frozen, HALO).evaluate(moved)
+    for path in PATHS:
+        first, second = there.jacobian_per_mm2[path], of_another.jacobian_per_mm2[path]
+        np.testing.assert_array_equal(first, at.jacobian_per_mm2[path])
+        np.testing.assert_allclose(second, first * 1.02 / 1.01, rtol=1e-12)
+    np.testing.assert_array_equal(partly.predicted[0].jacobian_per_mm2[HALO], after.jacobian_per_mm2[HALO])
+
+
+def test_a_size_beyond_a_straight_lines_reach_is_begun_nearer(base: Fit) -> None:
+    """A score that promises half of the range where a tenth of it is there: the fit ends where it would have."""
+    score = score_of(base)
+    far = freed(base, replace(score, size=10.0 * score.size), slopes_of(base))
+    near = freed(base, score, slopes_of(base))
+    assert far.chi2 == pytest.approx(near.chi2, abs=1.0)
+    assert abs(far.value - near.value) < 0.3 * near.error

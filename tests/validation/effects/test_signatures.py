@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -164,6 +165,9 @@ def test_values_off_typical_and_of_shapes() -> None:
     assert [(one["length_um"], one["law"]) for one in shapes_of(spec)] == [
         (4.0, "round"), (2.0, "round"), (8.0, "round"), (4.0, "flat"),
     ]  # fmt: skip
+    side = EffectParameter(name="side", description="", choices=("in", "out"))
+    words = spec.model_copy(update={"parameters": (spec.parameters[2], side)})
+    assert {(one["law"], one["side"]) for one in shapes_of(words)} == set(product(("flat", "round"), ("in", "out")))
     text = stanza(applied_to(spec, typical(spec)))
     assert text.splitlines()[:4] == [
         "[[effects]]",
