@@ -29,7 +29,7 @@ from luxloop.settings import load_settings
 from validation.comparing import Solver
 from validation.dataset.folder import read_dataset
 from validation.dataset.manifest import Sample
-from validation.dataset.simulate import Expected, exposed, views_of, write_dataset
+from validation.dataset.simulate import Expected, expected_images, exposed, views_of, write_dataset
 from validation.dataset.simulation_plan import paper_plan
 from validation.diagnose.diagnosis import Diagnosis
 from validation.diagnose.next_measurement import Proposal
@@ -40,7 +40,7 @@ from validation.effects.known import Known, acting, applied, off_values, with_ef
 from validation.effects.signatures import projected
 from validation.fit.parameters import free_paths
 from validation.observed import Observed
-from validation.prediction import Predictor
+from validation.prediction import Anchored, Predictor
 
 SAMPLES = ("single-0", "single-5.5", "array-5.5")
 """Of the paper's six, for time."""
@@ -76,8 +76,10 @@ class Bench:
         """What the camera sees of samples, before its noise."""
         plan = paper_plan().model_copy(update={"samples": tuple(samples)})
         views = views_of(plan, seed, shift_px=SHIFT_PX, rotation_deg=ROTATION_DEG)
-        how = {"histories": self.truth, "seed": seed + 1000} if self.truth else {"solver": "twin"}
-        return exposed(self.client, model, views, plan.camera, **how)
+        if self.truth:
+            return exposed(self.client, model, views, plan.camera, histories=self.truth, seed=seed + 1000)
+        found = Predictor(self.client).images(model, views, (), Anchored(PAPER, 0))  # walks of its own would show
+        return expected_images(views, [one.irradiance_per_mm2 for one in found], plan.camera)
 
     def observed(self, expected: Sequence[Expected], seed: int) -> Observed:
         """The data with their noise."""
