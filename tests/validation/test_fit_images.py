@@ -226,6 +226,33 @@ def test_a_fit_about_a_noisy_anchor_is_not_biased(about_noise):
     assert _pulls(naive, "array-a.gain", 300.0).mean() < -3.0
 
 
+class _Misled(Spots):
+    """Its derivatives say nothing of how the images change: they are noise, another one for each walk."""
+
+    def images(self, model, views, paths=(), anchor=None):
+        """The images."""
+        lost = np.random.default_rng(1 if anchor is None else anchor.exit_seed)
+        return [
+            replace(
+                one,
+                jacobian_per_mm2={
+                    path: lost.standard_normal(column.shape) if path.startswith("environment") else column
+                    for path, column in one.jacobian_per_mm2.items()
+                },
+            )
+            for one in super().images(model, views, paths, anchor)
+        ]
+
+
+def test_a_fit_that_is_lost_about_a_noisy_anchor_says_so():
+    """Derivatives that mislead lead nowhere: no gain becomes zero, and nothing is called converged."""
+    noise = {one.id: _waves(one, 0.004) for one in (SINGLE, ARRAY)}
+    found = fit(MODEL, _data(), _Misled(noise), anchor_at=lambda model: Anchored(model, 1000))
+    assert min(found.gains.values()) > 100.0
+    assert not found.converged
+    assert not found.trusted
+
+
 def test_errors_and_chi2_hold_about_a_noisy_anchor(about_noise):
     """With the noise in the whitening chi2 is that of noise and intervals hold the truth; left out, neither does."""
     fits, naive = about_noise

@@ -210,7 +210,10 @@ def _best_words(found: Refitted, problem: Problem, values: Real) -> tuple[Fit, t
 
 
 def _renewed(problem: Problem, values: Real) -> Fit:
-    """The fit with derivatives of its own: those where it begins, renewed where it has moved away from there."""
+    """The fit with derivatives of its own: those where it begins, renewed where it has moved away from there.
+
+    What does not converge so, for an effect as large bends, is fitted with derivatives anew at each step.
+    """
     found = refitted(frozen_at(problem, values), values)
     for _ in range(MAX_ANCHORS - 1):
         paths = problem.unknowns.model_paths
@@ -219,7 +222,7 @@ def _renewed(problem: Problem, values: Real) -> Fit:
             break
         values = found.values
         found = refitted(frozen_at(replace(problem, images=found.problem.images), values), values)
-    return found
+    return found if found.converged else refitted(problem, found.values)
 
 
 def _at_its_value(found: Refitted, fit: Fit, predictor: ImagePredictor) -> Refitted:

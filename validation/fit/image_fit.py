@@ -35,6 +35,7 @@ GAP = 0.1  # chi2
 NOISY_GAP = 1.0  # chi2: what derivatives with noise of their own may still promise
 STALLS = 2  # steps in a row that gain nothing
 SETTLED, SETTLING = 0.1, 8  # of an error that the last step about a noisy anchor may be long; most steps
+FAR = 30.0  # errors: a step as long is not one of the last, and by noisy columns may lead anywhere
 POSE_PX = 1e-3
 MAX_ITERATIONS = 40
 MAX_DAMPING = 1e6
@@ -159,7 +160,8 @@ def _settled(evaluation: Evaluation, iteration: int) -> Fit:
     """The solution about an anchor with noise, from near it: columns' residual + priors = 0.
 
     Its steps are by the product of columns with columns of another walk. Steps by their own product fall short along
-    what the data hardly know, for there most of a column is noise, and end up to an error from the solution.
+    what the data hardly know, for there most of a column is noise, and end up to an error from the solution. Where
+    they are long they are none of the last, and none is taken: the fit has not converged.
     """
     problem, others, turn = evaluation.problem, evaluation.others(), 0
     while True:
@@ -168,9 +170,9 @@ def _settled(evaluation: Evaluation, iteration: int) -> Fit:
         step = crossed(evaluation, white, reduced, columns, other)
         error = np.sqrt(np.diag(reduced.covariance_of(columns, other, 1.0, ~step.at_limit & ~reduced.blind)))
         seen = np.isfinite(error) & (error > 0.0)
-        near = bool(np.all(np.abs(step.change[seen]) < SETTLED * error[seen]))
-        turn += 1
-        if near or turn == SETTLING:
+        longest = float(np.max(np.abs(step.change[seen]) / error[seen], initial=0.0))
+        near, turn = longest < SETTLED, turn + 1
+        if near or longest > FAR or turn == SETTLING:
             return conclude(evaluation, white, reduced, columns, step, iteration + turn, near, other)
         evaluation = problem.evaluate(problem.unknowns.within(evaluation.values + step.change))
 
