@@ -8,7 +8,9 @@
 
 An `Environment` holds every reading of the module that is not a design variable; a `Model` is an environment with
 effects on top, and with a note for each parameter that may be fitted. Values stand in the environment and in the
-effects, once; `fit` says what may move. Only what changes results (`environment`, `effects`) enters `Model.sha256`.
+effects, once; `fit` says what may move. What belongs to single samples of the data, as the powers of their chips,
+stands in `samples` and holds for them only: a design has the effects as they are under `effects`. Only what changes
+results (`environment`, `effects`, `samples`) enters `Model.sha256`.
 """
 
 from __future__ import annotations
@@ -17,7 +19,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import ConfigDict, Field, field_validator, model_validator
 
-from luxloop.effect import AppliedEffect, did_you_mean, refuse_twice
+from luxloop.effect import AppliedEffect, Name, Value, did_you_mean, refuse_twice
 from luxloop.errors import InputError
 from luxloop.words import Words, parse, sha256_of
 
@@ -148,6 +150,7 @@ class Model(Words):
     notes: str = Field("", max_length=4000, description="For people: where the values come from.")
     environment: Environment = Environment()
     effects: tuple[AppliedEffect, ...] = Field((), max_length=100, description="Each under its own [[effects]].")
+    samples: dict[str, dict[Name, dict[Name, Value]]] = Field({}, description="Each under [samples.ID.EFFECT].")
     fit: dict[str, Fit] = Field(default_factory=dict, description='Each under its own [fit."PATH"].')
     data: Data | None = Field(None, description="What `compare` compared it with.")
 
@@ -165,8 +168,8 @@ class Model(Words):
 
     @property
     def sha256(self) -> str:
-        """The hash of what changes results: environment and effects; not the name, the notes or the fit."""
-        plain = self.model_dump(mode="json", include={"environment", "effects"})
+        """The hash of what changes results: environment, effects, samples; not the name, the notes or the fit."""
+        plain = self.model_dump(mode="json", include={"environment", "effects", *(["samples"] * bool(self.samples))})
         return sha256_of(plain)
 
     def leaves(self) -> dict[str, Any]:
@@ -197,9 +200,10 @@ class Model(Words):
         if path not in numbers:
             raise InputError(where, path, "the path of a number in the model", did_you_mean(path, numbers))
         value = leaves[path]
-        if not isinstance(value, float):
+        values = value if isinstance(value, list) else [value]
+        if not all(isinstance(one, float) for one in values):
             raise InputError(where, value, "a number in the model", f"give {path} a value, or remove this table")
-        if not fit.lower <= value <= fit.upper:
+        if not all(fit.lower <= one <= fit.upper for one in values):
             raise InputError(
                 path, value, f"{fit.lower:g} to {fit.upper:g}, the limits of its fit", "widen the limits"
             )

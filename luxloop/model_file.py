@@ -1,7 +1,8 @@
 """A model as a TOML file: read with errors that mend, written with unit, range and meaning beside every value.
 
 The shape of the file is fixed, so it is written here line by line: `schema`, `name`, `notes`, `[environment]` with
-its two surfaces, `[fit."PATH"]`, `[[effects]]`. A user's own comments are not kept; `notes` is the place for words.
+its two surfaces, `[fit."PATH"]`, `[data]`, `[[effects]]`, `[samples.ID.EFFECT]`. A user's own comments are not kept;
+`notes` is the place for words.
 """
 
 from __future__ import annotations
@@ -96,6 +97,8 @@ def to_toml(model: Model) -> str:
         lines += ["", "[[effects]]", f"name = {_toml(effect.name)}"]
         lines += [f"source_sha256 = {_toml(effect.source_sha256)}"] * (effect.source_sha256 is not None)
         lines += ["[effects.parameters]", *(f"{k} = {_toml(v)}" for k, v in effect.parameters.items())]
+    for sample, name, values in ((id_, name, one) for id_, own in model.samples.items() for name, one in own.items()):
+        lines += ["", f"[samples.{_toml(sample)}.{name}]", *(f"{k} = {_toml(v)}" for k, v in values.items())]
     return "\n".join(lines) + "\n"
 
 
@@ -185,7 +188,8 @@ def _mendable(error: ValidationError, where: str) -> InputError:
     )  # a misspelling explains the rest
     if not first["loc"] or "error" in first.get("ctx", {}):
         return as_input_error(error, where)
-    loc = first["loc"][:4] if first["loc"][0] == "effects" else first["loc"]  # beyond that pydantic names its union
+    # beyond four parts pydantic names the kinds of a value that it tried
+    loc = first["loc"][:4] if first["loc"][0] in ("effects", "samples") else first["loc"]
     path, value = f"{where}: {'.'.join(map(str, loc))}", first["input"]
     owner, name = _owner(loc)
     if first["type"] == "extra_forbidden":

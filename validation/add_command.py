@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -26,10 +26,7 @@ from validation.compare_command import (
 from validation.diagnose_command import Free, diagnosing, facts_of
 
 if TYPE_CHECKING:
-    from luxloop.model import Model
-    from validation.diagnose.ground import Ground
     from validation.diagnosing import Diagnosing
-    from validation.fit import Fit
     from validation.session import Session, Subject
 
 Force = Annotated[bool, typer.Option("--force", help="Write the model file even where the fit is not to be trusted.")]
@@ -58,18 +55,11 @@ def add(
         "add", model, free=free, histories=None if twin else histories, seed=seed, pixel_um=pixel_um, film=film,
         runs=runs, router=router, no_local=no_local, say=not (as_json or quiet),
     ) as (engine, subject, at):  # fmt: skip
-        text = _text(subject)
         if effect in [one.name for one in engine.model.effects]:
             raise InputError(
                 "EFFECT", effect, "an effect that the model does not have", "luxloop remove takes it out"
             )
-        spec = engine.spec(effect)
-        before = engine.ground(engine.fitted(engine.model))
-        found = engine.refitted(before.fit, spec)
-        if found.fit is None:
-            mend = "its members differ from sample to sample: give their values under [[effects]] in the model file"
-            raise InputError("EFFECT", effect, "an effect with one size", mend)
-        _finish(engine, subject, at, text, before, found.fit, f"add {effect}", dry_run, force, as_json)
+        _done(engine, subject, at, "add", effect, (pixel_um, film), dry_run, force, as_json)
 
 
 def remove(
@@ -99,10 +89,7 @@ def remove(
         "remove", model, free=free, histories=None if twin else histories, seed=seed, pixel_um=pixel_um, film=film,
         runs=runs, router=router, no_local=no_local, say=not (as_json or quiet),
     ) as (engine, subject, at):  # fmt: skip
-        text = _text(subject)
-        before = engine.ground(engine.fitted(engine.model))
-        after = engine.fitted(without(engine.model, effect))
-        _finish(engine, subject, at, text, before, after, f"remove {effect}", dry_run, force, as_json)
+        _done(engine, subject, at, "remove", effect, (pixel_um, film), dry_run, force, as_json)
 
 
 def ladder(
@@ -129,67 +116,28 @@ def ladder(
     typer.echo(json.dumps(document, ensure_ascii=False) if as_json else "\n".join(told.ladder(document)))
 
 
-def without(model: Model, effect: str) -> Model:
-    """The model without an effect and without what its [fit] tables say of it."""
-    left = tuple(one for one in model.effects if one.name != effect)
-    fit = {path: one for path, one in model.fit.items() if not path.startswith(f"effects.{effect}.")}
-    return model.model_copy(update={"effects": left, "fit": fit})
-
-
-def _finish(
+def _done(
     engine: Diagnosing,
     subject: Subject,
     at: Session,
-    text: str,
-    before: Ground,
-    after: Fit,
-    command: str,
+    command: Literal["add", "remove"],
+    effect: str,
+    looked_at: tuple[float | None, str | None],
     dry_run: bool,
     force: bool,
     as_json: bool,
 ) -> None:
-    """Put it on record, write the model file, tell it."""
+    """Fit, put it on record, write the model file, tell it."""
     from validation import told_diagnosis as told
-    from validation.diagnose.ladder import BEFORE, Rung
+    from validation.adding import changed, told_of
+    from validation.comparing import maps_of
 
-    ground = engine.ground(after)
-    rungs = Rung.of(before), Rung.of(ground)
-    document = facts_of(subject, at) | {
-        "before": vars(rungs[0]),
-        "after": vars(rungs[1]),
-        "trusted": after.trusted,
-        "reason": "; ".join(after.distrust),
-        "fitted": _fitted(after),
-        "diff": _diff(subject.model, after.model),
-        "version": None,
-    }
-    at.record(document, {one.shot.id: z for one, z in zip(after.problem.images, after.residual_images, strict=True)})
-    if not dry_run and (after.trusted or force):
-        if _text(subject) != text:
-            mend = "look at it (luxloop model diff) and run this again"
-            raise InputError("--model", subject.file, "a file that nobody edits during the fit", mend)
-        kept = after.model.model_copy(update={"data": subject.with_data.data})
-        version = subject.saved(kept, command, rungs[1].errors() | rungs[0].errors(BEFORE))
+    before, after = changed(engine, command, effect)
+    document = facts_of(subject, at, engine, *looked_at) | {"effect": effect, "version": None}
+    document |= told_of(subject.model, before, after)
+    at.record(document, maps_of(after.fit))
+    if not dry_run and (after.fit.trusted or force):
+        kept = after.fit.model.model_copy(update={"data": subject.with_data.data})
+        version = subject.saved(kept, f"{command} {effect}", document["errors"])
         document["version"] = version.number if version else None
     typer.echo(json.dumps(document, ensure_ascii=False) if as_json else "\n".join(told.added(document)))
-
-
-def _text(subject: Subject) -> str:
-    path = Path(subject.file)
-    return path.read_text(encoding="utf-8") if path.exists() else ""
-
-
-def _fitted(found: Fit) -> list[dict[str, Any]]:
-    from luxloop.units import unit_of
-    from validation.diagnose.document import finite
-
-    return [
-        {"path": path, "value": found.value(path), "error": finite(found.error(path)), "unit": unit_of(path)}
-        for path in found.problem.unknowns.model_paths
-    ]
-
-
-def _diff(before: Model, after: Model) -> list[str]:
-    from luxloop.model_file import diff
-
-    return [str(one) for one in diff(before, after)]

@@ -1,25 +1,31 @@
 """Levels 2 and 3 of a replay of comparisons: what was told, anew from what is on record.
 
 2 re-derive    chi2 of every image from its map of residuals
-3 re-decide    from the p-values of the shots: which of them differ, and the sentence; from the counts of draws the
-               p-values in words; the order of families and regions; from the MSE of all candidates the least
+3 re-decide    whether the data are still those that were compared; from the p-values of the shots: which of them
+               differ, and the sentence; from the counts of draws the p-values in words; the order of families and
+               regions; from the MSE of all candidates the least; verdicts and ladders (`redeciding`)
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from luxloop.audit import Compared, Place
+from luxloop.errors import InputError
 from luxloop.journal.image import frame_of
 from luxloop.journal.reader import RunJournal
 from luxloop.model_file import parse_toml
 from validation.asked import COMMAND as ASKED
 from validation.asked import asked_in
 from validation.comparing import sentence_of
+from validation.dataset.folder import read_dataset
+from validation.dataset.manifest_file import MANIFEST
+from validation.redeciding import changed_model, diagnosis
 
 ROUNDING = 1e-3
 """Relative, of chi2: maps are kept to five digits."""
@@ -70,16 +76,36 @@ def re_decide(journal: RunJournal, say: Callable[[Compared], None], *, same_mach
         if step.command == ASKED:
             continue
         at = Place(say, entry.sequence, f"{step.command} of {step.dataset_sha256[:12]}")
-        if model is not None:
-            at.exact("model", step.model_sha256, parse_toml(model.decode(), "model.toml").sha256)
+        before = None if model is None else parse_toml(model.decode(), "model.toml")
+        if before is not None:
+            at.exact("model", step.model_sha256, before.sha256)
+        same_data(step.document, step.dataset_sha256, at)
         decided(step.document, at)
+        if step.command == "diagnose":
+            diagnosis(step.document, at)
+        if step.command in ("add", "remove"):
+            changed_model(step.document, step.command, before, at)
+
+
+def same_data(document: Mapping[str, Any], sha256: str, at: Place) -> bool:
+    """Compares the data set with its files as they lie there now; whether they are the same."""
+    folder = Path(document.get("dataset", {}).get("path", ""))
+    if not (folder / MANIFEST).is_file():
+        at.nothing("data set", f"there is none at {folder} any more")
+        return False
+    try:
+        now = read_dataset(folder).sha256
+    except InputError as error:
+        at.exact("data set", sha256, f"{error}"[:300], str(folder))
+        return False
+    return at.exact("data set", sha256, now, str(folder))
 
 
 def decided(document: Mapping[str, Any], at: Place) -> None:
     """Compares the decisions of a comparison's or calibration's document with its numbers."""
     structure, shots = document.get("structure"), document.get("shots", [])
     for name, one in {"all": structure, **{shot["id"]: shot for shot in shots}}.items():
-        if one is not None and structure is not None:
+        if one is not None and structure is not None and "p_text" in one:
             at.exact("p in words", one["p_text"], p_text(one["p"], structure["draws"]), name)
     for stage in document.get("stages", []):
         at.exact(f"least MSE, {stage['name']}", stage["best"], least(stage["curves"]))

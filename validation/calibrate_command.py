@@ -116,8 +116,10 @@ def calibrate(
 
 def paths_of(model: Model, free: str | None) -> list[str]:
     """The parameters to fit. Raises InputError for one without limits in the model file."""
+    from validation.fit.parameters import free_paths
+
     if free is None:
-        return [path for path, fit in model.fit.items() if fit.free]
+        return list(free_paths(model))
     wanted = [path.strip() for path in free.split(",") if path.strip()]
     for path in wanted:
         if path not in model.fit:

@@ -128,8 +128,8 @@ class Asked:
             "command": shlex.join(["luxloop", *sys.argv[1:]]),
             "model": {"file": subject.file, "name": chosen.name, "sha256": chosen.sha256},
             "dataset": {
-                "path": str(subject.dataset.folder), "name": manifest.name, "sha256": subject.dataset.sha256,
-                "pixel_um": self.pixel_um, "film": self.film,
+                "path": str(subject.dataset.folder.resolve()), "name": manifest.name,
+                "sha256": subject.dataset.sha256, "pixel_um": self.pixel_um, "film": self.film,
             },
             **found.document(),
             "profiles": profiles(found.fit) if self.command == "where" or self.page is not None else [],

@@ -151,8 +151,7 @@ class Comparison:
 
     def residual_maps(self) -> dict[str, Real]:
         """Residuals of the images in standard deviations, 0 where unused."""
-        images = self.fit.problem.images
-        return {image.shot.id: z for image, z in zip(images, self.fit.residual_images, strict=True)}
+        return maps_of(self.fit)
 
     def _shot(self, shot: str) -> dict[str, Any]:
         found = self.structure.shots[shot]
@@ -263,6 +262,11 @@ class _Curves:
     def far_fields(self, model: Model, views: Sequence[FarView], paths: Sequence[str] = ()) -> list[PredictedCurve]:
         histories = max(HISTORIES, self.solver.histories or 0)
         return self.predictor.far_fields(model, views, paths, histories, self.solver.seed)
+
+
+def maps_of(found: Fit) -> dict[str, Real]:
+    """Residuals of a fit's images in standard deviations, 0 where unused, by shot."""
+    return {image.shot.id: z for image, z in zip(found.problem.images, found.residual_images, strict=True)}
 
 
 def differing(p_of: Mapping[str, float]) -> list[str]:

@@ -94,15 +94,21 @@ def diagnosing(
         )
 
 
-def facts_of(subject: Subject, at: Session) -> dict[str, Any]:
-    """What every document of these commands begins with."""
+def facts_of(
+    subject: Subject, at: Session, engine: Diagnosing, pixel_um: float | None, film: str | None
+) -> dict[str, Any]:
+    """What every document of these commands begins with: all that it takes to do it again."""
     return {
         "command": shlex.join(["luxloop", *sys.argv[1:]]),
-        "model": {"file": subject.file, "name": subject.model.name, "sha256": subject.model.sha256},
+        "model": {
+            "file": subject.file, "path": str(Path(subject.file).resolve()), "name": subject.model.name,
+            "sha256": subject.model.sha256,
+        },
         "dataset": {
             "path": str(subject.dataset.folder), "name": subject.dataset.manifest.name,
-            "sha256": subject.dataset.sha256,
+            "sha256": subject.dataset.sha256, "pixel_um": pixel_um, "film": film,
         },
+        "solver": engine.solver.document(), "free": list(engine.free), "among": list(engine.among),
         "model_sha256": subject.model.sha256,
         "dataset_sha256": subject.dataset.sha256,
         "run": at.door.run,
@@ -131,6 +137,7 @@ def diagnose(
     """Learn which physical effect the model lacks: one verdict, the effects by rank, the measurement to take next."""
     from validation import told_diagnosis as told
     from validation.compare_command import view_of
+    from validation.comparing import maps_of
     from validation.diagnose.document import document
 
     draw = view_of("diagnosis", page) if page is not None else None
@@ -140,11 +147,9 @@ def diagnose(
         among=[name.strip() for name in (among or "").split(",") if name.strip()],
     ) as (engine, subject, at):  # fmt: skip
         found = engine.diagnosed()
-        told_of = facts_of(subject, at) | document(found, engine.proposals, seed)
-        told_of |= {"solver": engine.solver.document(), "not_tested": engine.untested}
-        ground = found.steps[0].ground.fit
-        maps = {image.shot.id: z for image, z in zip(ground.problem.images, ground.residual_images, strict=True)}
-        at.record(told_of, maps)
+        told_of = facts_of(subject, at, engine, pixel_um, film) | document(found, engine.proposals, seed)
+        told_of |= {"not_tested": engine.untested}
+        at.record(told_of, maps_of(found.steps[0].ground.fit))
         arrays = {}
         if draw is not None:
             from validation.diagnose.arrays import arrays_of
@@ -192,7 +197,7 @@ def next_(
         slopes = slopes_of(base)
         refits = [refit(base, scores[name], slopes) for name in rivals]
         proposals = Rivals(base, refits, engine.predictor, engine.known.beyond_twin).proposals(engine.progress)
-        told_of = facts_of(subject, at) | {
+        told_of = facts_of(subject, at, engine, pixel_um, film) | {
             "rivals": rivals,
             "candidates": [one.document() for one in proposals],
             "next_measurement": proposals[0].document() if proposals else None,

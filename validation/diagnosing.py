@@ -6,28 +6,32 @@ effects that it has.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
-from luxloop.effect import EffectSpec
+from luxloop.effect import EffectSpec, Value
 from luxloop.errors import InputError
 from luxloop.model import Model
 from validation.comparing import Solver
 from validation.contrasts.structure import DRAWS, fit_projection
+from validation.diagnose.by_sample import is_by_sample, with_members_free, with_own_values
 from validation.diagnose.columns import FitSight, candidates_of
 from validation.diagnose.diagnosis import Diagnosis, Means, diagnosed
 from validation.diagnose.frozen import slopes_of
 from validation.diagnose.ground import Ground
+from validation.diagnose.groups import joined
 from validation.diagnose.next_measurement import Proposal, Rivals, next_in_words
 from validation.diagnose.refit import Refitted, finished, refit
 from validation.diagnose.score import Candidate, Projected, Score, scores
-from validation.effects.known import Known
-from validation.effects.signatures import Column
+from validation.effects.known import Known, for_chips
+from validation.effects.signatures import Column, signature
 from validation.fit import CurvesOf, Fit, fit
+from validation.fit.parameters import free_paths
 from validation.observed import Observed
 from validation.prediction import Predictor
+from validation.sample_values import free_members
 
 Progress = Callable[[float, str], None]
 
@@ -57,12 +61,14 @@ class Diagnosing:
     """Effects that cannot be had with these samples, with the reason."""
     traced: dict[tuple[object, ...], list[Column]] = field(default_factory=dict)
     """Columns of effects by Monte Carlo, kept from round to round."""
+    _sight: tuple[Fit, FitSight] | None = None
+    """The last fit that was looked at, and what was already predicted about it."""
 
     def fitted(self, model: Model) -> Fit:
         """A model on these data; effects in it are fitted where its [fit] tables free them."""
         anchor_at = self.solver.anchor_at
-        free = [*self.free, *(path for path, one in model.fit.items() if path.startswith("effects.") and one.free)]
-        return fit(
+        free = [*self.free, *(path for path in free_paths(model) if path.startswith("effects."))]
+        found = fit(
             model,
             self.observed.images,
             self.predictor,
@@ -73,6 +79,9 @@ class Diagnosing:
             others=self.observed.films,
             start=self.observed.films_at,
         )
+        moving = {member.effect for member, _ in free_members(model).values()}
+        specs = [one for one in self.known.specs if one.name in moving]
+        return with_members_free(found, specs, self._apart) if specs else found
 
     def ground(self, found: Fit) -> Ground:
         """The structure that a fit leaves, and its null."""
@@ -85,7 +94,12 @@ class Diagnosing:
         for name in self.among:
             self.known.spec(name)
         seen = [one for one in self.known.specs if (spectra if is_of_film(one) else self.observed.of_modules)]
-        return [one for one in seen if not self.among or one.name in self.among]
+        chosen = [one for one in seen if not self.among or one.name in self.among]
+        if not chosen:
+            mend = "images of modules show effects of modules, spectra those of films"
+            raise InputError("--among", ", ".join(self.among), "effects that these data can show", mend)
+        chips = max((one.sample.rows * one.sample.columns for one in self.observed.images), default=1)
+        return [for_chips(one, chips) for one in chosen]
 
     @property
     def untested(self) -> list[str]:
@@ -99,9 +113,11 @@ class Diagnosing:
 
     def signatures(self, found: Fit, effects: Sequence[EffectSpec]) -> list[Candidate]:
         """The whitened columns of effects at a fit."""
-        sight = FitSight.of(found, self.predictor, self.known.beyond_twin, self.solver.seed, self.traced)
-        return candidates_of(
-            found, effects, sight, lambda share, name: self.progress(0.1 + 0.4 * share, name), self.refused
+        sight = self._sight_of(found)
+        return joined(
+            candidates_of(
+                found, effects, sight, lambda share, name: self.progress(0.1 + 0.4 * share, name), self.refused
+            )
         )
 
     def scored(self, found: Fit, effects: Sequence[EffectSpec]) -> dict[str, Score]:
@@ -118,10 +134,29 @@ class Diagnosing:
         tested = scores(projected, found.residual, found.variance_scale, seed=self.solver.seed)
         return {one.name: one.best for one in tested.effects}
 
-    def refitted(self, found: Fit, effect: EffectSpec) -> Refitted:
-        """The fit with an effect at its best shape, what shapes it free where the data hold it."""
+    def added(self, found: Fit, effect: EffectSpec) -> Fit:
+        """The fit with an effect at its best shape, what shapes it free where the data hold it.
+
+        Where each sample has its own of it, with a value for each.
+        """
+        if is_by_sample(effect) and not is_of_film(effect):
+            self.scored(found, [effect])  # what these data cannot show is said first
+            return with_own_values(found, effect, self._apart)
         added = refit(found, self.scored(found, [effect])[effect.name], slopes_of(found))
-        return finished(added, found.problem.predictor, found.problem.predict_curves)
+        ended = finished(added, found.problem.predictor, found.problem.predict_curves).fit
+        if ended is None:
+            raise ValueError(f"{effect.name} is a group, and no sample has its own of it")
+        return ended
+
+    def _apart(self, found: Fit, effect: EffectSpec, shape: Mapping[str, Value]) -> list[Column]:
+        """The columns of an effect at a fit, of each sample by themselves."""
+        return signature(self._sight_of(found), found.model, effect, shape, apart=True)
+
+    def _sight_of(self, found: Fit) -> FitSight:
+        if self._sight is None or self._sight[0] is not found:
+            sight = FitSight.of(found, self.predictor, self.known.beyond_twin, self.solver.seed, self.traced)
+            self._sight = found, sight
+        return self._sight[1]
 
     def next_image(self, found: Fit, rivals: Sequence[Refitted]) -> str:
         """What would tell rivals apart, in words; the proposals are kept."""
@@ -140,11 +175,12 @@ class Diagnosing:
 
     def spec(self, name: str) -> EffectSpec:
         """An effect by name; InputError with what is near, or why these data cannot show it."""
-        spec = self.known.spec(name)
-        if spec.name not in {one.name for one in self.effects}:
+        self.known.spec(name)
+        found = next((one for one in self.effects if one.name == name), None)
+        if found is None:
             reason = next(text for text in self.untested if text.startswith(f"{name}:"))
             raise InputError("EFFECT", name, "an effect that these data can show", reason)
-        return spec
+        return found
 
 
 def is_of_film(spec: EffectSpec) -> bool:

@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from luxloop.effect import Value
 from luxloop.errors import InputError
 from luxloop.model import Environment, Fit, Model, Surface
 from luxloop.model_file import SCHEMA, SHIPPED, find_model, parse_toml, range_of
@@ -20,6 +21,7 @@ from luxloop.words import parse
 from validation.model_versions import Version, previous, save, version_text, versions
 from validation.model_versions import undo as undo_version
 
+SHOWN_CHIPS = 8
 WIDTH_WITHOUT_TERMINAL = 160  # a pipe has no width of its own; cells would be folded at 80
 
 FileArgument = Annotated[Path, typer.Argument(help="The model file.")]
@@ -58,6 +60,8 @@ def show(
     console.print(Text(f"{model.name}   ({file}, {SCHEMA}, sha256 {model.sha256[:12]})", style="bold"))
     console.print(_parameters(model))
     console.print(_effects(model) if model.effects else Text("no effects"))
+    if model.samples:
+        console.print(_samples(model))
     if history:
         console.print(_versions(history))
     if model.notes:
@@ -160,6 +164,23 @@ def _effects(model: Model) -> Table:
             fit = model.fit.get(f"effects.{effect.name}.{name}")
             table.add_row(*map(Text, (effect.name, name, _with_unit(value, name), *_fit(fit, name))))
     return table
+
+
+def _samples(model: Model) -> Table:
+    """What samples of the data have of their own; of chips the first few."""
+    table = Table("sample", "effect", "parameter", "value", box=None, pad_edge=False)
+    for sample, effects in model.samples.items():
+        for effect, values in effects.items():
+            for name, value in values.items():
+                table.add_row(*map(Text, (sample, effect, name, _of_chips(value, name))))
+    return table
+
+
+def _of_chips(value: Value, name: str) -> str:
+    if not isinstance(value, tuple):
+        return _with_unit(value, name)
+    more = f", ... of {len(value)} chips" * (len(value) > SHOWN_CHIPS)
+    return ", ".join(f"{one:.3g}" for one in value[:SHOWN_CHIPS]) + more + f" {unit_of(name)}".rstrip()
 
 
 def _versions(history: list[Version]) -> Table:

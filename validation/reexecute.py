@@ -10,9 +10,10 @@ data where they were, unchanged.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -25,11 +26,17 @@ from luxloop.errors import InputError, RemoteError
 from luxloop.failure import Failure
 from luxloop.journal.reader import RunJournal
 from luxloop.messages import Task
+from luxloop.model import Model
 from luxloop.model_file import parse_toml
 from luxloop.words import sha256_of
-from validation.asked import OnRecord, asked_in, digest
+from validation.adding import changed, told_of
+from validation.asked import OnRecord, Plain, asked_in, digest
+from validation.auditor import same_data
 from validation.comparing import Solver, compared
 from validation.dataset.folder import read_dataset
+from validation.diagnose.document import document as diagnosis_document
+from validation.diagnosing import Diagnosing
+from validation.effects.known import Known
 from validation.observed import Observed
 from validation.prediction import Predictor
 
@@ -41,8 +48,11 @@ ROUNDING = 1e-6
 """Of an array's rms: how far the mean of what has no noise may be off on another processor."""
 ROUNDS = "other packages or another processor round otherwise"
 NO_REQUESTS = "the journal names its requests by their ids only"
-PARTS = ("sentence", "trusted", "reason", "structure", "shots", "regions", "fourier", "parameters")
-"""Of a document: what a comparison finds, without what commands add."""
+PARTS = (
+    "verdict", "sentence", "set", "trusted", "reason", "structure", "shots", "regions", "fourier", "parameters",
+    "effects", "scores", "added", "candidates", "before", "after", "errors", "fitted", "diff", "after_sha256",
+)  # fmt: skip
+"""Of a document: what commands find, without where they found it."""
 
 
 def re_execute(
@@ -61,10 +71,11 @@ def re_execute(
     if not asked:
         Place(say).nothing("request", NO_REQUESTS)
         return
-    answers = Again(client, say, same_machine and not new_seed, new_seed).all(asked)
+    again = Again(client, say, same_machine and not new_seed, new_seed)
+    answers = FromAnswers(again.all(asked), again.failures)
     if not new_seed:
         for entry in journal.records("/validation"):
-            if entry.value.command in ("compare", "where"):
+            if entry.value.command in FITS:
                 step = entry.value
                 at = Place(say, entry.sequence, f"{step.command} of {step.dataset_sha256[:12]}")
                 fitted(journal, step, answers, at)
@@ -78,6 +89,8 @@ class Again:
     say: Callable[[Compared], None]
     same_bits: bool
     new_seed: bool
+    failures: dict[str, RemoteError] = field(default_factory=dict)
+    """What a worker refused, by the ids on record: in a diagnosis effects that its samples cannot have."""
 
     def all(self, asked: Sequence[OnRecord]) -> dict[str, Answer]:
         """The answers by the ids on record: tables of films first, for others need them."""
@@ -109,6 +122,7 @@ class Again:
         except RemoteError as error:
             if error.failure.code not in ("bad_input", "crashed"):
                 raise
+            self.failures[one.task_id] = error
             at.nothing("answer", f"the {task.kind} worker says: {error.failure.text()}"[:300])
             return None
         same_seed = not self.new_seed or task.inputs == one.task.inputs
@@ -148,37 +162,19 @@ def _same_mean(name: str, one: Mapping[str, Any], other: Mapping[str, Any], at: 
         at.nothing("array", f"{why}, and it has no standard error")
 
 
-def fitted(journal: RunJournal, step: Any, answers: Mapping[str, Answer], at: Place) -> None:
-    """Compares the document of a comparison with that of a fit on the answers of today."""
-    document = step.document
-    of = document["dataset"]
-    try:
-        model = parse_toml(journal.attachments()["model.toml"].decode(), "model.toml")
-        dataset = read_dataset(Path(of["path"]))
-        if dataset.sha256 != step.dataset_sha256:
-            raise InputError("dataset", of["path"], "as it was compared")
-        told = document["solver"]
-        solver = Solver(told["histories"], told["seed"], told.get("most_histories", 0))
-        observed = Observed.of(dataset, of.get("pixel_um"), of.get("film"))
-        found = compared(model, observed, Predictor(FromAnswers(answers)), solver).document()
-    except (InputError, KeyError, RemoteError) as error:
-        at.nothing("the fit anew", f"{error}"[:300])
-        return
-    for part in PARTS:
-        if part in document:
-            at.exact(f"the fit anew, {part}", document[part], found[part])
-
-
 @dataclass(frozen=True)
 class FromAnswers:
     """Answers what was answered; what was never asked it does not know."""
 
     answers: Mapping[str, Answer]
+    failures: Mapping[str, RemoteError] = field(default_factory=dict)
 
     def run(self, request: Any, *, fresh: bool = False) -> Answer:
         """The answer; RemoteError for another request than those on record."""
         del fresh
         task = as_task(request)
+        if task.id in self.failures:
+            raise self.failures[task.id]
         if task.id not in self.answers:
             raise RemoteError(Failure(code="refused", message=f"request {task.id[:12]} is not on record"))
         return self.answers[task.id]
@@ -187,6 +183,67 @@ class FromAnswers:
         """As `Client.map`, one after the other."""
         for number, request in enumerate(requests):
             yield number, self.run(request)
+
+
+def fitted(journal: RunJournal, step: Any, answers: FromAnswers, at: Place) -> None:
+    """Compares the document of a command with that of the same fits on the answers of today."""
+    document = step.document
+    if not same_data(document, step.dataset_sha256, at):
+        return
+    try:
+        model = parse_toml(journal.attachments()["model.toml"].decode(), "model.toml")
+        found = FITS[step.command](step, model, answers)
+    except (InputError, KeyError, RemoteError) as error:
+        at.nothing("the fit anew", f"{error}"[:300])
+        return
+    now = json.loads(json.dumps(found))  # as the journal has it
+    for part in [part for part in PARTS if part in document and part in now]:
+        at.exact(f"the fit anew, {part}", document[part], now[part])
+
+
+def compared_again(step: Any, model: Model, answers: FromAnswers) -> Plain:
+    """The document of a comparison."""
+    observed, solver = _asked(step)
+    return compared(model, observed, Predictor(answers), solver).document()
+
+
+def diagnosed_again(step: Any, model: Model, answers: FromAnswers) -> Plain:
+    """The document of a diagnosis."""
+    engine = _engine(step, model, answers)
+    return diagnosis_document(engine.diagnosed(), engine.proposals, engine.solver.seed)
+
+
+def changed_again(step: Any, model: Model, answers: FromAnswers) -> Plain:
+    """The document of an effect that was added, or removed: the errors of the ladder among it."""
+    return told_of(model, *changed(_engine(step, model, answers), step.command, step.document["effect"]))
+
+
+FITS: dict[str, Callable[[Any, Model, FromAnswers], Plain]] = {
+    "compare": compared_again, "where": compared_again, "diagnose": diagnosed_again, "add": changed_again,
+    "remove": changed_again,
+}  # fmt: skip
+"""What does the work of a command once more."""
+
+
+def _engine(step: Any, model: Model, answers: FromAnswers) -> Diagnosing:
+    observed, solver = _asked(step)
+    told = step.document
+    return Diagnosing(
+        model,
+        observed,
+        Predictor(answers),
+        Known.ask(answers),
+        solver,
+        tuple(told["free"]),
+        among=tuple(told["among"]),
+    )
+
+
+def _asked(step: Any) -> tuple[Observed, Solver]:
+    """The data and the solver that a command was asked to use."""
+    of, told = step.document["dataset"], step.document["solver"]
+    observed = Observed.of(read_dataset(Path(of["path"])), of.get("pixel_um"), of.get("film"))
+    return observed, Solver(told["histories"], told["seed"], told.get("most_histories", 0))
 
 
 def with_tables(inputs: Any, tables: Mapping[str, Mapping[str, Any]]) -> Any:

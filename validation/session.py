@@ -26,13 +26,15 @@ from luxloop.design import Bounds, Design
 from luxloop.door import RunDoor
 from luxloop.errors import InputError
 from luxloop.model import Data, Model
-from luxloop.model_file import SHIPPED, find_model, read_model, to_toml
+from luxloop.model_file import SHIPPED, find_model, parse_toml, read_text, to_toml
 from luxloop.settings import Settings, usable_cache
 from validation.asked import COMMAND, Asking
 from validation.dataset.folder import Dataset, read_dataset
 from validation.dataset.manifest_file import MANIFEST
+from validation.effects.known import Known
 from validation.model_versions import Version, save
 from validation.prediction import Predictor
+from validation.sample_values import refuse_strangers
 
 if TYPE_CHECKING:
     from luxloop.bus.frame import Array
@@ -53,10 +55,21 @@ class Subject:
     file: str
     model: Model
     dataset: Dataset
+    text: str = ""
+    """Of the file, as it was read; "": a shipped model."""
 
     def saved(self, model: Model, command: str, errors: Mapping[str, float]) -> Version | None:
-        """The model written to its file as a new version; None for a shipped one, which never changes."""
-        return None if self.file in SHIPPED else save(Path(self.file), model, command, dict(errors))
+        """The model written to its file as a new version; None for a shipped one, which never changes.
+
+        Raises InputError where somebody has edited the file since it was read.
+        """
+        if self.file in SHIPPED:
+            return None
+        path = Path(self.file)
+        if not path.exists() or read_text(path) != self.text:
+            mend = "it is as it was edited; look at it (luxloop model diff) and run this again"
+            raise InputError("--model", self.file, "a file that nobody edits while a command runs on it", mend)
+        return save(path, model, command, dict(errors))
 
     @property
     def with_data(self) -> Model:
@@ -79,9 +92,11 @@ def subject_of(file: str, dataset: Path | None) -> Subject:
         begun = find_model(MODEL_START).model_copy(update={"name": path.stem})
         save(path, begun, f"begun from {MODEL_START}")
         sys.stderr.write(f"luxloop: {file} did not exist: begun from the model {MODEL_START!r}\n")
-    model = find_model(file) if file in SHIPPED else read_model(path)
+    text = "" if file in SHIPPED else read_text(path)
+    model = parse_toml(text, path.name) if text else find_model(file)
     if dataset is not None:
-        return Subject(file, model, read_dataset(dataset))
+        found = read_dataset(dataset)
+        return Subject(file, _of_these_samples(model, path.parent, found), found, text)
     if model.data is None:
         raise InputError(
             "--model", file, "a model that was compared with data", "luxloop compare DATASET comes first"
@@ -90,7 +105,19 @@ def subject_of(file: str, dataset: Path | None) -> Subject:
     if found.sha256 != model.data.sha256:
         mend = "luxloop compare DATASET takes them as they are now"
         raise InputError("[data]", str(found.folder), f"data as they were compared, {model.data.sha256[:12]}", mend)
-    return Subject(file, model, found)
+    return Subject(file, _of_these_samples(model, path.parent, found), found, text)
+
+
+def _of_these_samples(model: Model, here: Path, dataset: Dataset) -> Model:
+    """The model, without what it says of the samples of other data: another folder has other samples.
+
+    Raises InputError for values of a sample that these data do not have.
+    """
+    if model.data is not None and (here / model.data.path).resolve() != dataset.folder.resolve() and model.samples:
+        sys.stderr.write(f"luxloop: values by sample are of {model.data.path}, not of these data: left out\n")
+        return model.model_copy(update={"samples": {}})
+    refuse_strangers(model, [sample.id for sample in dataset.manifest.samples])
+    return model
 
 
 @dataclass
@@ -133,6 +160,8 @@ def session(
         facts = {"argv": sys.argv[1:], "version": __version__, "dataset_sha256": subject.dataset.sha256}
         with RunDoor.begin(client, _plan(name, subject), facts, _attachments(subject)) as door:
             asking = Asking(client)
+            if subject.model.effects:  # before anything is traced
+                Known.ask(asking).refuse_unknown(subject.model)
             yield Session(subject, command, seed, door, asking, Predictor(asking))
             ended = door.end("told", complete=True)
     if say:

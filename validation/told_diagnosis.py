@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import groupby
 from typing import Any
 
 from validation.diagnose.verdict import size_in_words
@@ -11,6 +12,8 @@ from validation.told import table
 Document = Mapping[str, Any]
 
 SCORES, CANDIDATES, NAMED = 8, 8, 6
+LONGEST = 118
+"""Characters of a line of a diff: values of many chips are long."""
 
 
 def diagnosis(document: Document) -> Iterator[str]:
@@ -45,6 +48,11 @@ def diagnosis(document: Document) -> Iterator[str]:
         yield f"luxloop add {document['set'][0]} puts it into {document['model']['file']}."
     for reason in document["untestable"]:
         yield f"not testable with these data: {reason}, for what is fitted anyway does all that it does"
+    by_reason: dict[str, list[str]] = {}
+    for name, _, reason in (line.partition(": ") for line in document["not_tested"]):
+        by_reason.setdefault(reason, []).append(name)
+    for reason, names in by_reason.items():
+        yield f"not testable with these data: {', '.join(names)}, because {reason}"
 
 
 def _seen_above(limits: Sequence[Document]) -> Iterator[str]:
@@ -69,8 +77,9 @@ def next_measurement(document: Document) -> Iterator[str]:
 
 def ladder(document: Document) -> Iterator[str]:
     """A row for each version of the model."""
-    heads = ("version", "by", "error", "held out", "noise", "p of structure", "effects")
-    yield from table(heads, [_rung(row) for row in document["rungs"]])
+    blocks = any(row["blocks_percent"] is not None for row in document["rungs"])
+    heads = ("version", "by", "error", "held out", *["in blocks"] * blocks, "noise", "p of structure", "effects")
+    yield from table(heads, [_rung(row, blocks) for row in document["rungs"]])
     moved = document["parameters"]
     if moved:
         yield ""
@@ -81,13 +90,18 @@ def ladder(document: Document) -> Iterator[str]:
 
 def added(document: Document) -> Iterator[str]:
     """What add and remove did."""
-    yield from document["diff"]
-    for row in document["fitted"]:
-        yield f"{row['path']} {_with_error(row['value'], row['error'])} {row['unit']}".rstrip()
+    yield from (line if len(line) <= LONGEST else f"{line[: LONGEST - 3]}..." for line in document["diff"])
+    yield from _fitted_values(document["fitted"])
     before, after = document["before"], document["after"]
-    for name, words in (("fitted_percent", "error in what was fitted"), ("held_out_percent", "held-out error")):
+    errors = {
+        "fitted_percent": "error in what was fitted", "held_out_percent": "held-out error",
+        "blocks_percent": "held-out error, halves of the images in blocks",
+    }  # fmt: skip
+    for name, words in errors.items():
         if before.get(name) is not None and after.get(name) is not None:
             yield f"{words}: {before[name]:.3g} % -> {after[name]:.3g} % (noise {after['noise_percent']:.3g} %)"
+    if after["held_out_percent"] is None:
+        yield "held-out error: not computable, for a single sample leaves nothing to fit to when it is left out"
     yield f"p of structure: {before['p']:.2g} -> {after['p']:.2g}"
     if not document["trusted"]:
         yield f"Not to be trusted: {document['reason']}."
@@ -95,6 +109,19 @@ def added(document: Document) -> Iterator[str]:
         yield f"{document['model']['file']} is as it was."
     else:
         yield f"{document['model']['file']} is version {document['version']}; undo: luxloop model undo"
+
+
+def _fitted_values(rows: Sequence[Document]) -> Iterator[str]:
+    """A line for each value; of the chips of a sample one line for all."""
+    for name, several in groupby(rows, lambda row: row["group"] or row["path"]):
+        some = list(several)
+        value, error, unit = some[0]["value"], some[0]["error"], some[0]["unit"]
+        if some[0]["group"] is None:
+            yield f"{name} {_with_error(value, error)} {unit}".rstrip()
+            continue
+        rms = (sum(row["value"] ** 2 for row in some) / len(some)) ** 0.5
+        worst = max(row["error"] or 0.0 for row in some)
+        yield f"{name} of {len(some)} chips: {rms:.3g} {unit}".rstrip() + f" rms, each +- {worst:.2g} or less"
 
 
 def _effect(row: Document) -> tuple[str, ...]:
@@ -130,11 +157,12 @@ def _with_error(value: float, error: float | None) -> str:
     return f"{value:.4g}" if error is None else f"{value:.4g} +- {error:.2g}"
 
 
-def _rung(row: Document) -> tuple[str, ...]:
+def _rung(row: Document, blocks: bool) -> tuple[str, ...]:
+    names = ("fitted_percent", "held_out_percent", *["blocks_percent"] * blocks, "noise_percent")
     return (
         str(row["version"]),
         row["command"],
-        *(_percent(row[name]) for name in ("fitted_percent", "held_out_percent", "noise_percent")),
+        *(_percent(row[name]) for name in names),
         "" if row["p"] is None else f"{row['p']:.2g}",
         ", ".join(row["effects"]) or "-",
     )

@@ -59,8 +59,8 @@ def page_of(document: Document, arrays: Arrays) -> str:
 
 
 def worst_shot(document: Document, arrays: Arrays) -> Figure:
-    """The picture of the shot that is furthest from the model, by its p and then by chi2."""
-    shot = max(document["shots"], key=lambda one: (abs(one.get("z") or 0.0), one.get("chi2_per_pixel") or 0.0))
+    """The picture of the shot that is furthest from the model."""
+    shot = furthest(document["shots"])[0]
     title = f"{document['sentence']}. Furthest: {shot['id']}, structure p {probability(shot)}"
     if shot["kind"] == "image":
         return images.worst(images.image_of(shot, arrays), title)
@@ -69,6 +69,11 @@ def worst_shot(document: Document, arrays: Arrays) -> Figure:
         curves.curve_panes(figure, *_curve(shot, arrays))
         figure.suptitle(title, fontsize=10, x=0.01, ha="left")
         return figure
+
+
+def furthest(shots: Sequence[Document]) -> list[Document]:
+    """Shots by p, the least first, then by chi2; z is that of p, below 0 where a shot fits better than most would."""
+    return sorted(shots, key=lambda one: (-(one.get("z") or 0.0), -(one.get("chi2_per_pixel") or 0.0)))
 
 
 def _head(document: Document) -> Iterator[str]:
@@ -106,7 +111,7 @@ def _images(document: Document, arrays: Arrays) -> Iterator[str]:
         " model that lacks nothing leaves such a map. Cuts go through the chips, where the model is brightest; their"
         " shaded range holds 95 % of noise. Grey: saturated or masked."
     )
-    far = sorted(shots, key=lambda one: -abs(one.get("z") or 0.0))[:UNFOLDED]
+    far = furthest(shots)[:UNFOLDED]
     for shot in shots:
         figure = _image(document, shot, arrays)
         title = f"{shot['id']}: {shot['sample']}"

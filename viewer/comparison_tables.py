@@ -84,7 +84,7 @@ def placing(document: Document) -> Iterator[str]:
 
 
 def regions(document: Document) -> Iterator[str]:
-    """Where the model fails, strongest first."""
+    """Where the model fails, the least likely first."""
     found: Sequence[Document] = document.get("regions") or ()
     if not found:
         yield paragraph("No region stands out.")
@@ -95,8 +95,8 @@ def regions(document: Document) -> Iterator[str]:
     ]
     caption = (
         "Sums of residuals over a region, standardised by what noise, the fitted camera and the model's own error"
-        " give: z is in sigma, its error is 1. Of many regions the strongest is large by chance too: structure p is"
-        " what counts."
+        " give: z is in sigma, its error is 1. The least likely come first; of many regions the largest z is large by"
+        " chance too, so families of few regions may stand before larger ones, and structure p is what counts."
     )
     if len(found) > REGIONS_SHOWN:
         caption += f" The first {REGIONS_SHOWN} of {len(found)}."

@@ -109,6 +109,7 @@ def test_what_is_written_is_a_data_set(run: Run, tmp_path: Path) -> None:
     told = json.loads(done.stdout)
     assert (told["shots"], told["solver"], told["histories"]) == (["one", "four"], "twin", None)
     found = read_dataset(tmp_path / "set")
+    assert found.manifest.name.endswith("; seed 1")
     camera = found.manifest.camera
     assert camera == DECLARED.model_copy(update={"pixel_um": 20.0, "prnu_percent": 1.0})
     assert [(shot.sample, shot.frames_averaged) for shot in found.manifest.images()] == [("one", 4), ("four", 4)]
@@ -124,6 +125,7 @@ def test_the_truth_stays_at_home_unless_asked_for(run: Run, tmp_path: Path) -> N
     assert "clear" not in (tmp_path / "blind/dataset.toml").read_text()
     assert run(tmp_path / "open", "--model", "clear_chip", "--keep-truth", "--shift-px", 0.5).exit_code == 0
     truth = tomllib.loads((tmp_path / "open/truth.toml").read_text())
+    assert read_dataset(tmp_path / "open").manifest.name.endswith("; model clear chip, seed 1")
     assert read_model(tmp_path / "open" / truth["model"]).sha256 == find_model("clear_chip").sha256
     assert [one["id"] for one in truth["images"]] == ["one", "four"]
     assert all(0.0 < abs(one["shift_px"][0]) < 3.0 for one in truth["images"])

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from tests.pages import Parsed, loads_nothing, picture_loads_nothing
 from viewer import comparison_images as images
-from viewer.comparison import draw, page_of, worst_shot
+from viewer.comparison import draw, furthest, page_of, worst_shot
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -218,6 +218,17 @@ def test_the_furthest_shot_is_the_picture() -> None:
     arrays: Arrays = {}
     shots = [image(arrays, "near"), image(arrays, "far", missing=0.01)]
     assert "Furthest: far" in worst_shot(comparison(shots), arrays).get_suptitle()
+
+
+def test_a_shot_that_fits_better_than_most_is_not_the_furthest() -> None:
+    """p near 1 is a z far below 0: such a shot comes last; of equal p the larger chi2 is first."""
+    shots = [
+        {"id": "best", "z": -3.7, "chi2_per_pixel": 0.9},
+        {"id": "some", "z": 2.0, "chi2_per_pixel": 1.1},
+        {"id": "most", "z": 3.7, "chi2_per_pixel": 5.0},
+        {"id": "more", "z": 3.7, "chi2_per_pixel": 2.0},
+    ]
+    assert [shot["id"] for shot in furthest(shots)] == ["most", "more", "some", "best"]
 
 
 def test_maps_lie_as_the_light_does() -> None:

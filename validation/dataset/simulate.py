@@ -266,6 +266,9 @@ def simulate(
     how = f"Monte Carlo, {histories:,} histories a sample" if solver == "monte_carlo" else "the deterministic twin"
     if keep_truth:
         _write_truth(folder, truth, expected, {"solver": solver, "histories": histories, "seed": seed})
+    chosen = chosen.model_copy(
+        update={"name": _name(chosen, truth if keep_truth else None, seed, images or far_field)}
+    )
     by = f"Simulated by luxloop {__version__}" + (f": images by {how}." if images else ".")
     made = write_dataset(
         folder, chosen, expected, seed=seed, frames=frames, notes=by,
@@ -277,6 +280,12 @@ def simulate(
         "truth_kept": keep_truth, "far_field_model_error": max((one.model_error for one in curves), default=0.0),
     }  # fmt: skip
     typer.echo(json.dumps(told) if as_json else "\n".join(_told(folder, made, pixels, how, seed, curves)))
+
+
+def _name(plan: Plan, truth: Model | None, seed: int, modules: bool) -> str:
+    """What pages call the data: what was looked at and with which seed; in which model where that may be known."""
+    what = plan.name if modules else f"spectra of {', '.join(film.id for film in plan.films)}"
+    return f"{what}; " + (f"model {truth.name}, " if truth else "") + f"seed {seed}"
 
 
 def _told(

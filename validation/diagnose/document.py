@@ -6,12 +6,16 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+
 from luxloop import __version__
 from validation.contrasts.structure import Structure
 from validation.diagnose.diagnosis import Diagnosis, Step
 from validation.diagnose.in_words import limits
 from validation.diagnose.next_measurement import Proposal
 from validation.diagnose.verdict import Explanation
+from validation.fit import Fit
+from validation.sample_values import LEAD
 
 REGIONS = 8
 
@@ -55,23 +59,30 @@ def document(found: Diagnosis, proposals: Sequence[Proposal], seed: int) -> dict
             for name, parameter, value, unit in limits(first.scores)
         ],
         "known": found.known,
-        "shots": [
-            {
-                "id": image.shot.id, "kind": "image", "sample": image.sample.id, "pixel_um": image.pixel_um,
-                "dbr_pairs": image.sample.dbr_pairs, "centre_px": list(image.centre_px),
-            }
-            for image in first.ground.fit.problem.images
-        ],
+        "distrust": list(first.ground.fit.distrust),
+        "shots": shot_documents(first.ground.fit),
         "parameters": parameters_document(found),
         "seed": seed,
         "versions": {"luxloop": __version__},
     }  # fmt: skip
 
 
+def shot_documents(fit: Fit) -> list[dict[str, Any]]:
+    """The images of a fit, and what is left in them."""
+    return [
+        {
+            "id": image.shot.id, "kind": "image", "sample": image.sample.id, "pixel_um": image.pixel_um,
+            "dbr_pairs": image.sample.dbr_pairs, "centre_px": list(image.centre_px),
+            "pixels": int(image.used.sum()), "chi2_per_pixel": float(np.sum(z**2)) / int(image.used.sum()),
+        }
+        for image, z in zip(fit.problem.images, fit.residual_images, strict=True)
+    ]  # fmt: skip
+
+
 def structure_document(found: Structure) -> dict[str, Any]:
     """What is left before any effect is added, and where."""
     return {
-        "p": found.p, "p_text": found.p_text, "z": found.z, "statistic": found.statistic,
+        "p": found.p, "p_text": found.p_text, "z": found.z, "statistic": found.statistic, "draws": found.draws,
         "where": [
             {"shot": one.shot or "all images", "family": one.family, "region": one.words, "z": one.z}
             for one in found.where[:REGIONS]
@@ -105,6 +116,7 @@ def effect_document(step: Step, one: Explanation) -> dict[str, Any]:
         "held_out_density_error": None if held is None else held.error,
         "log_evidence": one.log_evidence,
         "plausible": one.plausible,
+        "distrust": list(one.distrust),
         "p_left": one.p_left,
         "sigma": one.sigma,
         "sigma_rival": one.sigma_rival,
@@ -118,7 +130,7 @@ def parameters_document(found: Diagnosis) -> list[dict[str, Any]]:
     fit = first.ground.fit
     best = first.kept
     rows = []
-    for path in fit.problem.unknowns.model_paths:
+    for path in (path for path in fit.problem.unknowns.model_paths if not path.startswith(LEAD)):
         limits_at = fit.model.fit[path]
         row = {
             "path": path, "value": fit.value(path), "error": finite(fit.error(path)),

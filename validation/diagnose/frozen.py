@@ -13,13 +13,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from luxloop.effect import Value
 from luxloop.model import Model
 from validation.fit import CurveData, Fit
 from validation.fit.problem import CurvePredictor, Evaluation, ImagePredictor, Problem
 from validation.prediction import Anchored, Predicted, PredictedCurve, View
+from validation.sample_values import members
 
 Real = NDArray[np.float64]
 
+Samples = Mapping[str, Mapping[str, Mapping[str, Value]]]
 Slopes = Mapping[str, Sequence[Real]]
 """By path: derivatives of the images in 1/mm^2, then of the curves."""
 
@@ -69,14 +72,25 @@ class FrozenImages:
             return model, {}
         there = {} if anchor is None else {effect.name: effect for effect in anchor.model.effects}
         kept = [there.get(one.name) if one.name in self.lines else one for one in model.effects]
-        asked = model.model_copy(update={"effects": tuple(one for one in kept if one is not None), "fit": {}})
-        leaves, at = model.leaves(), {} if anchor is None else anchor.model.leaves()
+        samples = self._samples_as_anchored(model, {} if anchor is None else anchor.model.samples)
+        effects = tuple(one for one in kept if one is not None)
+        asked = model.model_copy(update={"effects": effects, "samples": samples, "fit": {}})
+        here, at = _numbers(model), {} if anchor is None else _numbers(anchor.model)
         along = {}
         for path in self.slopes:
-            if path.startswith("effects.") and path.split(".")[1] in self.lines:
+            if path in here and here[path][0] in self.lines:
                 power = 2 if path in self.squares else 1
-                along[path] = float(leaves[path]) ** power - float(at.get(path, 0.0)) ** power
+                before = at[path][1] if path in at else 0.0
+                along[path] = here[path][1] ** power - before**power
         return asked, along
+
+    def _samples_as_anchored(self, model: Model, there: Samples) -> Samples:
+        """What samples have of their own, its lines as at the anchor."""
+        found = {}
+        for sample in {**model.samples, **there}:
+            own = {name: one for name, one in model.samples.get(sample, {}).items() if name not in self.lines}
+            found[sample] = own | {name: one for name, one in there.get(sample, {}).items() if name in self.lines}
+        return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,4 +166,15 @@ def _walk(anchor: Anchored | None) -> int:
 
 
 def _factor(model: Model, path: str, squares: frozenset[str]) -> float:
-    return 2.0 * float(model.leaves()[path]) if path in squares else 1.0
+    return 2.0 * _numbers(model)[path][1] if path in squares else 1.0
+
+
+def _numbers(model: Model) -> dict[str, tuple[str, float]]:
+    """The numbers of effects, those of single samples among them, with the effect's name, by path."""
+    common = {
+        f"effects.{one.name}.{name}": (one.name, value)
+        for one in model.effects
+        for name, value in one.parameters.items()
+        if isinstance(value, float)
+    }
+    return common | {path: (member.effect, value) for path, (member, value) in members(model).items()}

@@ -1,7 +1,7 @@
 """The error in data that a fit has not seen: all shots of one sample are left out in turn, never random pixels.
 
     fold     the model's parameters from the other samples, on the linear model at the fit
-    there    gain, offset, place and turn of the left-out images are fitted in them, nothing else
+    there    gain, offset, place and turn of the left-out images are fitted in them, and what only their sample has
     error    rms of what is left, and the mean logarithm of the density with which the fold predicts a pixel
 
 Pixels of one image say the same twice, so a random split "improves" with every parameter. Noise common to several
@@ -71,8 +71,9 @@ def held_out(fit: Fit, folds: Sequence[tuple[str, Rows]]) -> HeldOut:
     for _, rows in folds:
         kept = np.setdiff1d(np.arange(len(residual)), rows)
         change = _solved(fit, columns[:, kept], residual[kept], fit.active)
-        there = residual[rows] - (change * shared) @ columns[:, rows]
-        own = columns[:, rows][fit.active & ~shared]
+        known = shared & np.any(columns[:, kept] != 0.0, axis=1)
+        there = residual[rows] - (change * known) @ columns[:, rows]
+        own = columns[:, rows][fit.active & ~known]
         own = own[np.sum(own**2, axis=1) > 0.0]
         left.append(there - own.T @ np.linalg.lstsq(own.T, there, rcond=None)[0] if len(own) else there)
         order.append(rows)

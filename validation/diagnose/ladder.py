@@ -12,11 +12,15 @@ from luxloop.errors import InputError
 from luxloop.model import Model
 from luxloop.model_file import parse_toml
 from validation.diagnose.ground import Ground
-from validation.diagnose.held_out import folds_of, held_out
+from validation.diagnose.held_out import folds_by_blocks, folds_of, held_out
 from validation.fit.model_noise import told_variance
 from validation.model_versions import Version
+from validation.sample_values import is_by_sample
 
-NAMES = {"fitted_percent": "fitted %", "held_out_percent": "held-out %", "noise_percent": "noise %", "p": "p"}
+NAMES = {
+    "fitted_percent": "fitted %", "held_out_percent": "held-out %", "blocks_percent": "held-out in blocks %",
+    "noise_percent": "noise %", "p": "p",
+}  # fmt: skip
 """Of the numbers of a rung: how a version's errors call them."""
 BEFORE = "before: "
 """Leads the errors of the model that a version was made from, where that had none of its own."""
@@ -32,10 +36,12 @@ class Rung:
     noise_percent: float
     """Of the camera and of the prediction's own Monte Carlo: what a right model leaves."""
     p: float
+    blocks_percent: float | None = None
+    """Of halves of every image, left out in turn: what tells of values that each sample has of its own."""
 
     @classmethod
-    def of(cls, ground: Ground) -> Rung:
-        """Of a fit and its structure."""
+    def of(cls, ground: Ground, blocks: bool = False) -> Rung:
+        """Of a fit and its structure; `blocks`: halves of the images are left out, too."""
         fit = ground.fit
         squares, noise, level, count = 0.0, 0.0, 0.0, 0
         of_model = told_variance(fit.whitening)
@@ -53,7 +59,9 @@ class Rung:
         percent = 100.0 * np.sqrt(count) / level
         folds = folds_of(fit)
         held = held_out(fit, folds).rms_percent if folds else None
-        return cls(float(percent * np.sqrt(squares)), held, float(percent * np.sqrt(noise)), ground.structure.p)
+        halves = held_out(fit, folds_by_blocks(fit)).rms_percent if blocks else None
+        error, floor = float(percent * np.sqrt(squares)), float(percent * np.sqrt(noise))
+        return cls(error, held, floor, ground.structure.p, halves)
 
     def errors(self, lead: str = "") -> dict[str, float]:
         """As a version keeps them."""
@@ -73,6 +81,7 @@ def ladder(known: Sequence[Version], texts: Mapping[int, str]) -> dict[str, Any]
         numbers = _numbers(version.errors) or _numbers(following, BEFORE)
         if numbers is None:
             continue
+        numbers["blocks_percent"] = numbers["blocks_percent"] or following.get(f"{BEFORE}{NAMES['blocks_percent']}")
         model = _model(texts[version.number])
         models[version.number] = model
         effects = [effect.name for effect in model.effects] if model is not None else []
@@ -96,9 +105,9 @@ def _model(text: str) -> Model | None:
 
 
 def _moved(models: Mapping[int, Model | None]) -> list[dict[str, Any]]:
-    """Parameters of the model that differ between versions, with their priors."""
+    """Parameters that all samples have in common and that differ between versions, with their priors."""
     known = [model for model in models.values() if model is not None]
-    paths = list(dict.fromkeys(path for model in known for path in model.fit))
+    paths = list(dict.fromkeys(path for model in known for path in model.fit if not is_by_sample(model, path)))
     rows = []
     for path in paths:
         values = [None if model is None else model.leaves().get(path) for model in models.values()]

@@ -26,6 +26,7 @@ from validation.fit import Fit
 from validation.fit.problem import sensor_of, view_of
 from validation.measured import MeasuredImage
 from validation.prediction import POSE_COLUMNS, Anchored, Pose, Predictor, Sensor
+from validation.sample_values import LEAD
 
 Real = NDArray[np.float64]
 
@@ -66,7 +67,7 @@ class Rivals:
 
     def proposals(self, heard: Callable[[float, str], None] = lambda *_: None) -> list[Proposal]:
         """All candidates, the best first. Empty where no rival has a size of its own."""
-        paths = self.fit.problem.unknowns.model_paths
+        paths = self._paths
         usable = [one for one in self.refits if one.model is not None]
         if len(usable) < 2 or not self.fit.problem.images:
             return []
@@ -84,10 +85,15 @@ class Rivals:
             found.append(Proposal(words, sample, exposure, _separation([here, there], prior_sd, usable), now))
         return sorted(found, key=lambda one: -one.expected_sigma)
 
+    @property
+    def _paths(self) -> tuple[str, ...]:
+        """What a further image says more of: not what other samples have of their own."""
+        return tuple(path for path in self.fit.problem.unknowns.model_paths if not path.startswith(LEAD))
+
     def _here(self, usable: Sequence[Refitted]) -> Rows:
         """The columns on the rows that were measured."""
         fit = self.fit
-        own = [name in fit.problem.unknowns.model_paths for name in fit.names]
+        own = [name in self._paths for name in fit.names]
         sight = FitSight.of(fit, self.predictor, self.beyond_twin)
         gains = [fit.gains[one.shot.id] for one in fit.problem.images]
         effects = {}

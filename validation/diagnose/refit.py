@@ -19,7 +19,7 @@ from luxloop.model import Fit as Limits
 from luxloop.model import Model
 from validation.diagnose.evidence import logs_of_spreads
 from validation.diagnose.frozen import FrozenCurves, FrozenImages, Slopes, frozen_at, without
-from validation.effects.known import applied, off_values, with_effect
+from validation.effects.known import CHIP, applied, off_values, with_effect
 from validation.fit import Fit, prior_chi2, refitted, unknowns_of
 from validation.fit.image_fit import ANCHOR_MOVE, MAX_ANCHORS
 from validation.fit.problem import CurvePredictor, ImagePredictor, Problem
@@ -120,11 +120,11 @@ def freed(base: Fit, score: Score, slopes: Slopes) -> Refitted:
     squares = frozenset([path] if candidate.parameter.score_variable == "square" else [])
     lines = frozenset() if candidate.effect.twin else frozenset([candidate.effect.name])
     slopes = {**slopes, path: candidate.parts}
-    frozen = _frozen(base.problem, slopes, squares, lines)
+    frozen = with_slopes(base.problem, slopes, squares, lines)
     at, size = base.problem.unknowns.named(base.values), score.size
     for _ in range(1 + MOST_HALVINGS):
         start = float(np.clip(candidate.value(size), lower + least, upper - least))
-        problem, values = _posed(frozen, added(base.model, candidate, start), tuple(slopes), at | {path: start})
+        problem, values = posed(frozen, added(base.model, candidate, start), tuple(slopes), at | {path: start})
         residual = problem.evaluate(values).residual(base.whitening)
         if residual @ residual <= base.chi2:
             break
@@ -138,8 +138,8 @@ def freed(base: Fit, score: Score, slopes: Slopes) -> Refitted:
 
 def switched(base: Fit, candidate: Candidate, slopes: Slopes) -> Refitted:
     """The effect is there, with the word of its shape."""
-    frozen, start = _frozen(base.problem, slopes), base.problem.unknowns.named(base.values)
-    found = refitted(*_posed(frozen, added(base.model, candidate, None), tuple(slopes), start))
+    frozen, start = with_slopes(base.problem, slopes), base.problem.unknowns.named(base.values)
+    found = refitted(*posed(frozen, added(base.model, candidate, None), tuple(slopes), start))
     return Refitted(candidate, 1.0, 0.0, found.residual, _chi2(found), False, found.model, found)
 
 
@@ -149,19 +149,27 @@ def spread(base: Fit, candidate: Candidate) -> Refitted:
     The spread s is the most likely one: members are normal with it, and the data know each to one over its column.
     """
     rows = candidate.columns - (candidate.columns @ base.basis.data) @ base.basis.data.T
-    size, axes = np.linalg.eigh(rows @ rows.T)
-    size, along = np.maximum(size, 0.0), axes.T @ (rows @ base.residual)
     _, upper = limits_of(candidate.parameter)
-    spreads = upper * np.geomspace(1e-4, 1.0, 400)
-    logs = logs_of_spreads(along, size, spreads)
-    best = float(spreads[int(np.argmax(logs))])
-    members = axes @ (best**2 * along / (1.0 + best**2 * size))
-    residual = base.residual - members @ rows
+    best, members, log = drawn_back(rows, base.residual, upper)
+    size = np.maximum(np.linalg.eigvalsh(rows @ rows.T), 0.0)
     curvature = float(np.sum((best * size / (1.0 + best**2 * size)) ** 2)) * 2.0
     return Refitted(
-        candidate, best, 1.0 / np.sqrt(curvature) if curvature > 0.0 else np.inf, residual,
-        _chi2(base) - 2.0 * max(float(logs.max()), 0.0), best >= upper, None, None,
+        candidate, best, 1.0 / np.sqrt(curvature) if curvature > 0.0 else np.inf, base.residual - members @ rows,
+        _chi2(base) - 2.0 * max(log, 0.0), best >= upper, None, None,
     )  # fmt: skip
+
+
+def drawn_back(rows: Real, residual: Real, largest: float) -> tuple[float, Real, float]:
+    """The most likely spread of a group's members, the members (member,) with it, and ln of its likelihood ratio.
+
+    `rows` (member, row): their columns, less what the fit's own parameters do; `largest`: spread that is tried.
+    """
+    size, axes = np.linalg.eigh(rows @ rows.T)
+    size, along = np.maximum(size, 0.0), axes.T @ (rows @ residual)
+    spreads = largest * np.geomspace(1e-4, 1.0, 400)
+    logs = logs_of_spreads(along, size, spreads)
+    best = float(spreads[int(np.argmax(logs))])
+    return best, axes @ (best**2 * along / (1.0 + best**2 * size)), float(logs.max())
 
 
 def finished(found: Refitted, predictor: ImagePredictor, curves: CurvePredictor | None) -> Refitted:
@@ -176,13 +184,14 @@ def finished(found: Refitted, predictor: ImagePredictor, curves: CurvePredictor 
         return _at_its_value(found, fit, predictor)
     problem = replace(fit.problem, predictor=predictor, predict_curves=curves)
     own, as_well = _best_words(found, problem, fit.values)
-    shapes = [one for one in spec.parameters if one.off is None and not one.choices and one.shape_grid]
+    lengths = [one for one in spec.parameters if one.off is None and not one.choices and one.name != CHIP]
+    shapes = [one for one in lengths if one.shape_grid]
     if shapes and not found.candidate.is_switch:
         limits = {path_of(spec.name, one.name): limits_of(one) for one in shapes}
         opened = {path: Limits(free=True, lower=low, upper=high) for path, (low, high) in limits.items()}
         model = own.model.model_copy(update={"fit": own.model.fit | opened})
         start = own.problem.unknowns.named(own.values) | {path: own.model.leaves()[path] for path in limits}
-        better = _renewed(*_posed(problem, model, (*own.problem.unknowns.model_paths, *limits), start))
+        better = _renewed(*posed(problem, model, (*own.problem.unknowns.model_paths, *limits), start))
         if better.converged and not any(path in better.at_limit for path in limits):
             own = better
     return replace(_with(found, own), as_well=as_well)
@@ -201,8 +210,8 @@ def _best_words(found: Refitted, problem: Problem, values: Real) -> tuple[Fit, t
     for said in product(*(one.choices for one in words)):
         wanted = tried | dict(zip((one.name for one in words), said, strict=True))
         model = with_effect(problem.model, applied(spec, wanted))
-        posed = _posed(known, model, start.model_paths, start.named(own.values))
-        fits[said] = own if wanted == tried else _renewed(*posed)
+        begun = posed(known, model, start.model_paths, start.named(own.values))
+        fits[said] = own if wanted == tried else _renewed(*begun)
     fits = {said: fit for said, fit in fits.items() if fit.trusted} or fits
     least = min(map(_chi2, fits.values()))
     first, *others = (said for said, fit in fits.items() if _chi2(fit) <= least + AS_WELL)
@@ -276,7 +285,7 @@ def _with(found: Refitted, fit: Fit) -> Refitted:
     )  # fmt: skip
 
 
-def _frozen(
+def with_slopes(
     problem: Problem, slopes: Slopes, squares: frozenset[str] = frozenset(), lines: frozenset[str] = frozenset()
 ) -> Problem:
     """The problem about the same anchor, with slopes that stay."""
@@ -288,7 +297,7 @@ def _frozen(
     )
 
 
-def _posed(problem: Problem, model: Model, paths: Sequence[str], start: dict[str, float]) -> tuple[Problem, Real]:
+def posed(problem: Problem, model: Model, paths: Sequence[str], start: dict[str, float]) -> tuple[Problem, Real]:
     """The problem with another model, of which these paths move, and the values to start from."""
     known = problem.unknowns
     films = [one for one in known.parameters if one.name in known.other_paths]

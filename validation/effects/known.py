@@ -7,14 +7,17 @@ from dataclasses import dataclass
 from itertools import product
 from typing import Any
 
-from luxloop.effect import AppliedEffect, EffectParameter, EffectSpec, Value, did_you_mean
+from luxloop.effect import AppliedEffect, EffectParameter, EffectSpec, Value, check, did_you_mean
 from luxloop.errors import InputError
 from luxloop.model import Model
 from luxloop.ray import EffectsRequest
 from luxloop.words import parse
 from validation.prediction.words import Asks
+from validation.sample_values import of_sample
 
 THIRD = 1.0 / 3.0
+CHIP = "chip"
+"""A parameter of this name is the number of a chip: each is tried, and nothing between."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +48,16 @@ class Known:
         mend = did_you_mean(name, names) or "luxloop effects list shows them"
         raise InputError("NAME", name, f"one of the {len(names)} effects that the workers know", mend)
 
+    def refuse_unknown(self, model: Model) -> None:
+        """Raises InputError for an effect of a model that is not known, or whose values are out of range."""
+        known = {one.name: one for one in self.specs}
+        for one in (model, *(of_sample(model, sample) for sample in model.samples)):
+            for effect in one.effects:
+                if effect.name not in known and f"{effect.name}.py" not in self.refused:
+                    mend = did_you_mean(effect.name, known) or "luxloop effects show NAME prints what to write"
+                    raise InputError("effects", effect.name, f"one of {', '.join(known)}", mend)
+                check(effect, self.spec(effect.name))
+
     @property
     def beyond_twin(self) -> frozenset[str]:
         """The names of those that the twin cannot represent."""
@@ -72,6 +85,15 @@ def shapes_of(spec: EffectSpec) -> list[dict[str, Value]]:
     points = [middle, *(middle | {one.name: value} for one in free for value in one.shape_grid)]
     points += [middle | dict(zip((one.name for one in words), some, strict=True)) for some in said]
     return [point for number, point in enumerate(points) if point not in points[:number]]
+
+
+def for_chips(spec: EffectSpec, chips: int) -> EffectSpec:
+    """The effect with all chips of a module of so many to try, where it is of one chip."""
+    numbers = tuple(float(chip) for chip in range(chips))
+    parameters = [
+        one.model_copy(update={"shape_grid": numbers}) if one.name == CHIP else one for one in spec.parameters
+    ]
+    return spec.model_copy(update={"parameters": tuple(parameters)})
 
 
 def acting(spec: EffectSpec) -> list[EffectParameter]:

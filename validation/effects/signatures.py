@@ -29,12 +29,15 @@ from validation.fit.whitening import Whitening
 from validation.measured import MeasuredImage
 from validation.prediction import Anchored, Curve, Predictor, View
 from validation.prediction.differences import stencil
+from validation.sample_values import of_sample, with_sample
 
 Real = NDArray[np.float64]
 
 STEP_SHARE = {"value": 0.1, "square": 0.04}
 """Of the way from off to the end of the range, in the score variable: 0.04 of its square is 0.2 of a width. By Monte
 Carlo steps are as long as the range allows."""
+LEAST_ROOM = 0.1
+"""Of a parameter's range: with less to its nearer end, steps go to the other one only."""
 HISTORIES = 1_000_000
 """Of Monte Carlo, for each sample, where the twin cannot represent an effect."""
 COLUMN_ERROR = 0.08
@@ -114,7 +117,7 @@ class Sight:
 
 @dataclass(frozen=True, eq=False)
 class Column:
-    """The derivative of everything in sight by one parameter of an effect, or by that of one chip."""
+    """The derivative of everything in sight by one parameter of an effect, or by that of one chip of one sample."""
 
     effect: str
     parameter: str
@@ -124,18 +127,27 @@ class Column:
     """In the score variable."""
     parts: tuple[Real, ...]
     """Images in 1/mm2, then curves, per the score variable: the parameter's own unit, or its square."""
+    sample: str = ""
+    """Whose own value is moved; "": one value holds for all."""
 
 
 def signature(
-    sight: Sight, model: Model, spec: EffectSpec, shape: Mapping[str, Value] | None = None, scale: float = 1.0
+    sight: Sight,
+    model: Model,
+    spec: EffectSpec,
+    shape: Mapping[str, Value] | None = None,
+    scale: float = 1.0,
+    *,
+    apart: bool = False,
 ) -> list[Column]:
-    """The columns of an effect: one for each parameter with an off value, of a parameter per chip one for each chip.
+    """The columns of an effect: one for each parameter with an off value; of one per chip for each chip and sample.
 
     Parameters
     ----------
     model : an effect of that name in it stays at its values, and is moved from there; else it is moved from off.
     shape : of its parameters without an off value; default: the middle of their grids (`known.shapes_of`).
     scale : of the steps, to see whether a derivative is stable.
+    apart : each sample has a value of its own of every parameter, so a column too.
 
     Raises
     ------
@@ -143,16 +155,16 @@ def signature(
     """
     columns: list[Column] = []
     for one in acting(spec):
-        for chips, views in _modules(sight, one):
+        for sample, chips, views in _modules(sight, one, apart):
             several = range(chips) if one.per_chip else (None,)
-            moving = [_Moving(model, spec, one, dict(shape or {}), chips, chip) for chip in several]
+            moving = [_Moving(model, spec, one, dict(shape or {}), chips, chip, sample) for chip in several]
             columns += _columns(sight, moving, views, scale)
     return columns
 
 
 @dataclass(frozen=True, eq=False)
 class _Moving:
-    """A parameter that is moved: of which effect, of which chip, in which views."""
+    """A parameter that is moved: of which effect, of which chip, of which sample ("": of all)."""
 
     model: Model
     spec: EffectSpec
@@ -160,12 +172,15 @@ class _Moving:
     shape: dict[str, Value]
     chips: int
     chip: int | None
+    sample: str
 
     @property
     def start(self) -> dict[str, Value]:
         """The values that it starts from: those in the model, or off."""
-        present = next((e.parameters for e in self.model.effects if e.name == self.spec.name), {})
-        return off_values(self.spec, self.shape, self.chips) | dict(present)
+        effects = of_sample(self.model, self.sample).effects
+        present = next((one.parameters for one in effects if one.name == self.spec.name), {})
+        written = {name: value for name, value in present.items() if value != ()}
+        return off_values(self.spec, self.shape, self.chips) | written
 
     @property
     def value(self) -> float:
@@ -186,7 +201,15 @@ class _Moving:
         if self.spec.twin:
             return scale * STEP_SHARE[one.score_variable] * whole
         # short steps would leave the noise of Monte Carlo and little else: as far as there is room for
-        return min(scale, 1.0) * whole * (1.0 if both and not square else 0.5)
+        longest = whole * (1.0 if both and not square else 0.5)
+        return min(scale, 1.0) * (longest if square else min(longest, self._room))
+
+    @property
+    def _room(self) -> float:
+        """How long a step may be from where the parameter stands: to both sides, near an end two to the other one."""
+        lower, upper = float(self.one.lower or 0.0), float(self.one.upper or 0.0)
+        near, far = sorted((self.value - lower, upper - self.value))
+        return near if near >= LEAST_ROOM * (upper - lower) else far / 2.0
 
     def _value(self, by: float) -> float:
         value, off = self.value, float(self.one.off or 0.0)
@@ -207,7 +230,11 @@ class _Moving:
             values[self.one.name] = tuple(value if n == self.chip else old for n, old in enumerate(several))
         else:
             values[self.one.name] = value
-        return with_effect(self.model, applied(self.spec, values))
+        if not self.sample:
+            return with_effect(self.model, applied(self.spec, values))
+        has = any(one.name == self.spec.name for one in self.model.effects)
+        model = self.model if has else with_effect(self.model, applied(self.spec, off_values(self.spec, self.shape)))
+        return with_sample(model, self.sample, self.spec.name, values)
 
 
 def _columns(sight: Sight, moving: Sequence[_Moving], views: Sequence[int] | None, scale: float) -> Iterator[Column]:
@@ -218,17 +245,18 @@ def _columns(sight: Sight, moving: Sequence[_Moving], views: Sequence[int] | Non
     for one, several in zip(moving, steps, strict=True):
         weighted = [[step.weight * part for part in next(seen)] for step in several]
         parts = tuple(np.asarray(sum(of_models)) for of_models in zip(*weighted, strict=True))
-        yield Column(one.spec.name, one.one.name, one.shape, one.chip, one.step(scale), parts)
+        yield Column(one.spec.name, one.one.name, one.shape, one.chip, one.step(scale), parts, one.sample)
 
 
-def _modules(sight: Sight, one: EffectParameter) -> Iterator[tuple[int, Sequence[int] | None]]:
-    """How many chips, and the views of modules that have so many; once and all views for a parameter of no chip."""
-    if not one.per_chip:
-        yield 0, None
+def _modules(sight: Sight, one: EffectParameter, apart: bool) -> Iterator[tuple[str, int, Sequence[int] | None]]:
+    """Each sample, its chips and its views; once and all views for a parameter that all have in common."""
+    if not one.per_chip and not apart:
+        yield "", 0, None
         return
-    counts = [view.sample.rows * view.sample.columns if view.sample.layout == "array" else 1 for view in sight.views]
-    for chips in sorted(set(counts) - {1}):
-        yield chips, [number for number, count in enumerate(counts) if count == chips]
+    for sample in {view.sample.id: view.sample for view in sight.views}.values():
+        chips = sample.rows * sample.columns if sample.layout == "array" else 1
+        if chips > 1 or not one.per_chip:  # the power of a single chip is its image's gain
+            yield sample.id, chips, [number for number, view in enumerate(sight.views) if view.sample.id == sample.id]
 
 
 # What calibration and nuisances cannot imitate

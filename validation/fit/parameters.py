@@ -1,6 +1,7 @@
 """The unknowns of a fit and where each stands: parameters of the model, of films, of each image, of each curve.
 
 environment.substrate.reflectance     a path of the model; limits and prior from its [fit] table
+samples.array-0.dead_chip.power_ratio a value of one sample (`sample_values`); a table for all samples
 films.gan-on-sapphire.layers.0.a      any other number that only curves depend on, as its caller names it
 single-5.5-a.gain                     DN mm^2: image = gain E + offset; or, tied to the exposure,
 gain, single-5.5-a.gain_error         DN mm^2 / ms, and gain_i = gain exposure_i (1 + gain_error)
@@ -22,6 +23,7 @@ from luxloop.model import Model
 from validation.fit.least_squares import Parameter
 from validation.measured import MeasuredImage
 from validation.prediction import POSE_COLUMNS, Pose
+from validation.sample_values import LEAD, is_by_sample, limits_of, with_members
 
 Real = NDArray[np.float64]
 
@@ -78,23 +80,24 @@ class Unknowns:
         """The model with its free parameters set; InputError where it does not take a value."""
         by_name = self.named(values)
         for path in self.model_paths:
-            model = model.with_value(path, by_name[path])
-        return model
+            if not path.startswith(LEAD):
+                model = model.with_value(path, by_name[path])
+        return with_members(model, {path: by_name[path] for path in self.model_paths if path.startswith(LEAD)})
 
 
 def model_parameter(model: Model, path: str) -> Parameter:
     """The limits and the prior of a free parameter of a model; InputError where it has no [fit] table."""
-    if path not in model.fit:
+    fit = limits_of(model, path)
+    if fit is None:
         raise InputError(f"fit.{path}", None, "limits for a parameter that is to be fitted", f'add [fit."{path}"]')
-    fit = model.fit[path]
     prior = (fit.prior_mean, fit.prior_sd)
     mean, sd = (0.0, np.inf) if prior[0] is None or prior[1] is None else (prior[0], prior[1])
     return Parameter(path, fit.lower, fit.upper, mean, sd)
 
 
 def free_paths(model: Model) -> tuple[str, ...]:
-    """The parameters that the model file lets move."""
-    return tuple(path for path, fit in model.fit.items() if fit.free)
+    """The parameters that the model file lets move, but for values that each sample has its own of."""
+    return tuple(path for path, fit in model.fit.items() if fit.free and not is_by_sample(model, path))
 
 
 def unknowns_of(

@@ -18,6 +18,7 @@ from luxloop.errors import InputError
 from luxloop.ray import AnchorRequest, ChipArray, PredictionRequest, RayRequest, ShotRequest
 from validation.prediction.differences import moved_models
 from validation.prediction.words import POSE_COLUMNS, Anchored, Pose, Predicted, Real, View
+from validation.sample_values import of_sample
 
 if TYPE_CHECKING:
     from luxloop.client import Answer
@@ -158,6 +159,7 @@ def simulated(answer: Answer, view: View) -> Predicted:
 
 def module_of(model: Model, sample: Sample, film_of: FilmOf) -> dict[str, Any]:
     """The finite module of a sample in a model, as requests have it."""
+    model = of_sample(model, sample.id)
     chips = (
         {"rows": sample.rows, "columns": sample.columns} if sample.layout == "array" else {"rows": 1, "columns": 1}
     )

@@ -4,6 +4,7 @@ ripple, ripple_like   1 + a cos(2 pi (x + 2 y) / 350 um), and nearly the same
 fog                   (1 - s^2) E + s^2 E blurred by 3 px: only s^2 has a slope
 stripes               1 + a cos(2 pi x / L): L shapes it
 lines                 1 + a cos(2 pi u / 300 um), u = x or y: a word shapes it
+chips                 1 + g exp(-d^2 / 2 (100 um)^2) about each of the first three chips of a module
 spiral                1 + a cos(3 phi): not in the catalogue, for what nobody knows
 """
 
@@ -26,6 +27,7 @@ from validation.diagnose.score import Candidate
 from validation.fit import Fit, fit
 from validation.measured import MeasuredImage
 from validation.prediction import Anchored, Predicted, View
+from validation.sample_values import of_sample
 
 Real = NDArray[np.float64]
 GAIN = 300.0
@@ -79,7 +81,11 @@ def seen(model: Model, view: View, image: Real) -> Real:
     """An image with the model's effects."""
     rows, columns = np.indices(image.shape)
     x, y = (columns - view.centre_px[1]) * view.pixel_um, (rows - view.centre_px[0]) * view.pixel_um
-    for effect in model.effects:
+    for effect in of_sample(model, view.sample.id).effects:
+        if effect.name == "chips":
+            for gain, centre in zip(effect.parameters["gain"], (-200.0, 0.0, 200.0), strict=False):  # type: ignore[arg-type]  # a list
+                image = image * (1.0 + gain * np.exp(-((x - centre) ** 2 + y**2) / 2e4))
+            continue
         size = float(effect.parameters["size"])  # type: ignore[arg-type]  # a number in this catalogue
         if effect.name == "fog":
             image = (1.0 - size**2) * image + size**2 * gaussian_filter(image, 3.0)
@@ -102,7 +108,11 @@ def data(
     """Three images of the spots, with an effect hidden in them; rectangles of three samples, with noise."""
     parameters = {"size": size, **words} | ({} if length_um is None else {"length_um": length_um})
     hidden = () if name is None else (AppliedEffect(name=name, parameters=parameters),)
-    truth = MODEL.model_copy(update={"effects": hidden})
+    return images_of(MODEL.model_copy(update={"effects": hidden}), seed)
+
+
+def images_of(truth: Model, seed: int) -> list[MeasuredImage]:
+    """Three images of a model, with noise."""
     random = np.random.default_rng(seed)
     images = []
     for shot, sample in (("single", SINGLE), ("array", ARRAY), ("third", THIRD)):

@@ -52,6 +52,36 @@ def told(settings: Settings, folder: Path, *argv: str) -> dict[str, Any]:
     return found
 
 
+def replayed(settings: Settings, folder: Path, run: str, *levels: str) -> None:
+    """Chi2 from the maps, verdict and ladder from their numbers, the whole on answers asked once more."""
+    for level in levels:
+        again = luxloop(settings, folder, "audit", "replay", run, "--level", level)
+        assert again.returncode == 0, again.stdout + again.stderr
+        assert ("within tolerance" if level == "2" else "identical") in again.stdout.split("verdict")[-1]
+
+
+@pytest.mark.slow
+def test_powers_of_chips_are_added_sample_by_sample(settings: Settings, tmp_path: Path) -> None:
+    """Four chips of two powers: add fits each with their spread, the error falls to the noise, designs have none."""
+    hidden = AppliedEffect(name="chip_power_spread", parameters={"gain": (0.1, -0.1, 0.05, -0.05)})
+    truth = find_model("paper").model_copy(update={"effects": (hidden,)})
+    (tmp_path / "truth.toml").write_text(to_toml(truth), encoding="utf-8")
+    (tmp_path / "plan.toml").write_text(PLAN, encoding="utf-8")
+    made = ("dataset", "simulate", "data", "--model", "truth.toml", "--plan", "plan.toml", "--pixels", "42")
+    told(settings, tmp_path, *made, "--solver", "twin")
+    told(settings, tmp_path, "compare", "data", "--twin")
+    free = ("--free", "environment.substrate.reflectance")
+    added = told(settings, tmp_path, "add", "chip_power_spread", "--twin", *free)
+    assert added["after"]["fitted_percent"] < 1.05 * added["after"]["noise_percent"]
+    assert added["after"]["blocks_percent"] < added["before"]["blocks_percent"]
+    model = read_model(tmp_path / "model.toml")
+    assert [effect.parameters for effect in model.effects] == [{"gain": ()}]
+    found = model.samples["four"]["chip_power_spread"]["gain"]
+    errors = {row["path"]: row["error"] for row in added["fitted"]}
+    for chip, gain in enumerate((0.1, -0.1, 0.05, -0.05)):
+        assert abs(found[chip] - gain) < 3.0 * errors[f"samples.four.chip_power_spread.gain.{chip}"]  # type: ignore[index,operator]  # a list of numbers
+
+
 @pytest.mark.slow
 def test_a_hidden_effect_is_named_added_and_taken_out_again(settings: Settings, tmp_path: Path) -> None:
     """Vignetting in two images: the verdict names it, add brings the error to the noise, the ladder shows it."""
@@ -74,11 +104,13 @@ def test_a_hidden_effect_is_named_added_and_taken_out_again(settings: Settings, 
     journal = RunJournal(Path(found["folder"]))
     (step,) = (one.value for one in journal.records("/validation") if one.value.command == "diagnose")
     assert step.document["sentence"] == found["sentence"]
+    replayed(settings, tmp_path, found["folder"], "2", "3")
 
     added = told(settings, tmp_path, "add", "vignetting", "--twin", *free)
     assert added["after"]["fitted_percent"] < 1.1 * added["after"]["noise_percent"]
     assert added["after"]["fitted_percent"] < added["before"]["fitted_percent"]
     assert any(line.startswith("effects.vignetting.corner_loss") for line in added["diff"])
+    replayed(settings, tmp_path, added["folder"], "2", "3", "4")
     model = read_model(tmp_path / "model.toml")
     assert [effect.name for effect in model.effects] == ["vignetting"]
     again = luxloop(settings, tmp_path, "add", "vignetting", "--twin")

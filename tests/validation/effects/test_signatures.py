@@ -9,15 +9,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from luxloop.effect import EffectParameter, EffectSpec
+from luxloop.effect import AppliedEffect, EffectParameter, EffectSpec
+from luxloop.errors import InputError
 from luxloop.model import Model
 from validation.dataset.manifest import Sample
 from validation.effects.confounding import Confounding, confounding
+from validation.effects.known import Known, far_end, off_values, shapes_of, stanza, typical, with_effect
 from validation.effects.known import applied as applied_to
-from validation.effects.known import far_end, off_values, shapes_of, stanza, typical, with_effect
 from validation.effects.signatures import Projection, Sight, projected, signature
 from validation.fit.whitening import Whitening
 from validation.prediction import Predicted, View
+from validation.sample_values import of_sample, with_sample
 
 SIDE = 6
 SAMPLE = {"distance_um": 180.0, "width_um": 40.0, "spacing_um": 500.0, "thickness_um": 20.0, "dbr_pairs": 0.0}
@@ -37,14 +39,19 @@ class Pretended:
         """One image for each view."""
         self.asked += 1
         self.anchors.append(anchor)
-        values = {f"{e.name}.{name}": value for e in model.effects for name, value in e.parameters.items()}
-        return [Predicted(self.image(values), {}) for _ in views]
+        return [Predicted(self.image(values_in(of_sample(model, view.sample.id))), {}) for view in views]
 
     def several(self, wanted: Sequence[tuple[Model, View]], lender: Model) -> list[Any]:
         """The image of each view, in one question."""
         asked, seen = self.asked + 1, [self.images(model, [view], (), lender) for model, view in wanted]
         self.asked = asked
         return [found.irradiance_per_mm2 for (found,) in seen]
+
+
+def values_in(model: Model) -> dict[str, Any]:
+    """The values of its effects, by "EFFECT.PARAMETER"; of chips none where nothing is written."""
+    every = {f"{e.name}.{name}": value for e in model.effects for name, value in e.parameters.items()}
+    return {name: value for name, value in every.items() if value != ()}
 
 
 def spec_of(parameter: EffectParameter, **facts: Any) -> EffectSpec:
@@ -175,3 +182,17 @@ def test_values_off_typical_and_of_shapes() -> None:
         f'source_sha256 = "{"a" * 64}"',
         "[effects.parameters]",
     ]
+
+
+def test_a_model_with_unknown_effects_or_values_is_refused() -> None:
+    """The effect that was meant, the range of the value; of a sample's own values too."""
+    known = Known((spec_of(AMPLITUDE),), {}, {})
+    good = with_effect(Model(name="m"), applied_to(spec_of(AMPLITUDE), {"a": 0.1}))
+    known.refuse_unknown(good)
+    for model, words in (
+        (with_effect(Model(name="m"), AppliedEffect(name="mime", parameters={})), "did you mean mine"),
+        (with_effect(good, applied_to(spec_of(AMPLITUDE), {"a": 0.9})), "-0.5 to 0.5"),
+        (with_sample(good, "b", "mine", {"a": -0.9}), "-0.5 to 0.5"),
+    ):
+        with pytest.raises(InputError, match=words):
+            known.refuse_unknown(model)

@@ -1,0 +1,138 @@
+"""Effects that each sample has its own of: fitted sample by sample, chip by chip, written into the model file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pytest
+
+from luxloop.effect import AppliedEffect, EffectParameter, EffectSpec, Value
+from luxloop.errors import InputError
+from luxloop.model import Model
+from luxloop.model_file import parse_toml, to_toml
+from tests.validation.analytic import MODEL, PATHS
+from tests.validation.diagnose import made_up
+from validation.diagnose.by_sample import is_by_sample, with_members_free, with_own_values
+from validation.diagnose.columns import FitSight
+from validation.diagnose.held_out import folds_by_blocks, folds_by_sample, held_out
+from validation.effects.signatures import Column, signature
+from validation.fit import Fit, fit
+from validation.fit.parameters import free_paths
+from validation.sample_values import free_members, members, of_sample, refuse_strangers, with_members, without_samples
+
+TILTED = made_up.spec("ripple").model_copy(update={"scope": "per_sample"})
+GAIN = EffectParameter(name="gain", description="of a chip", lower=-0.5, upper=0.5, off=0.0, per_chip=True)
+CHIPS = EffectSpec(name="chips", stage="emission", description="gains", parameters=(GAIN,), scope="per_sample")
+SIZES = {"array": 0.06, "third": -0.04}
+GAINS = {"array": (0.1, -0.05, 0.02), "third": (-0.08, 0.03, 0.06)}
+
+
+def hidden(effect: str, common: Mapping[str, Value], **samples: Mapping[str, Value]) -> Model:
+    """A truth in which samples have their own of an effect."""
+    return MODEL.model_copy(
+        update={
+            "effects": (AppliedEffect(name=effect, parameters=dict(common)),),
+            "samples": {name: {effect: dict(values)} for name, values in samples.items()},
+        }
+    )
+
+
+def columns_at(found: Fit, spec: EffectSpec, shape: Mapping[str, Value]) -> list[Column]:
+    """The columns of each sample, about a fit."""
+    return signature(FitSight.of(found, made_up.Affected()), found.model, spec, shape, apart=True)  # type: ignore[arg-type]  # duck
+
+
+def added(truth: Model, spec: EffectSpec) -> tuple[Fit, Fit]:
+    """The fit without and with the effect."""
+    base = fit(MODEL, made_up.images_of(truth, 3), made_up.Affected(), free=PATHS)
+    return base, with_own_values(base, spec, columns_at)
+
+
+def test_each_sample_gets_its_value_and_one_that_shows_nothing_stays_without() -> None:
+    """Ripples of two sizes in two of three samples: both within errors, the third has none; designs have it off."""
+    base, found = added(hidden("ripple", {"size": 0.0}, **{name: {"size": v} for name, v in SIZES.items()}), TILTED)
+    assert set(found.model.samples) == {"array", "third"}
+    for sample, size in SIZES.items():
+        path = f"samples.{sample}.ripple.size"
+        assert abs(found.value(path) - size) < 3.0 * found.error(path)
+    assert found.chi2_per_row < 1.1 < base.chi2_per_row
+    assert found.trusted
+    assert [one.parameters for one in found.model.effects] == [{"size": 0.0}]
+    assert parse_toml(to_toml(found.model), "") == found.model
+
+
+def test_chips_share_a_spread_and_each_has_its_own_gain() -> None:
+    """Three gains in each of two modules: all within errors, their spread is the prior; single chips have none."""
+    truth = hidden("chips", {"gain": ()}, **{name: {"gain": gains} for name, gains in GAINS.items()})
+    base, found = added(truth, CHIPS)
+    known = members(found.model)
+    pulls = [
+        (value - truth.samples[one.sample]["chips"]["gain"][one.chip]) / found.error(path)  # type: ignore[index]  # lists
+        for path, (one, value) in known.items()
+        if (one.chip or 0) < 3
+    ]
+    assert len(pulls) == 6
+    assert np.sqrt(np.mean(np.square(pulls))) < 2.0
+    limits = found.model.fit["effects.chips.gain"]
+    assert limits.prior_sd is not None
+    assert 0.02 < limits.prior_sd < 0.1  # 0.063 over the chips that act, less over all of a module
+    assert found.chi2_per_row < 1.1 < base.chi2_per_row
+    assert free_paths(found.model) == PATHS
+
+
+def test_a_model_with_values_by_sample_is_fitted_again_with_them_free() -> None:
+    """From the file, with its values held at first: the same end as when the effect was added."""
+    truth = hidden("chips", {"gain": ()}, **{name: {"gain": gains} for name, gains in GAINS.items()})
+    _, found = added(truth, CHIPS)
+    model = parse_toml(to_toml(found.model), "")
+    shaken = with_members(model, {path: 0.5 * value for path, (_, value) in members(model).items()})
+    held = fit(shaken, made_up.images_of(truth, 3), made_up.Affected(), free=PATHS)
+    again = with_members_free(held, [CHIPS], columns_at)
+    assert held.chi2 > found.chi2 + 10.0
+    for path in free_members(model):
+        assert abs(again.value(path) - found.value(path)) < 0.2 * found.error(path)
+
+
+def test_what_only_left_out_data_know_is_fitted_there() -> None:
+    """By samples a module's own gains are its images' business; by blocks they come from the other half."""
+    truth = hidden("chips", {"gain": ()}, **{name: {"gain": gains} for name, gains in GAINS.items()})
+    base, found = added(truth, CHIPS)
+    for folds in (folds_by_sample, folds_by_blocks):
+        before, after = (held_out(one, folds(one)) for one in (base, found))
+        assert after.rms_percent < 1.05 * after.floor_percent < before.rms_percent
+
+
+def test_an_effect_that_shows_nowhere_is_refused() -> None:
+    """With what it would have to do, and what it does."""
+    with pytest.raises(InputError, match="lowers chi2 of a sample by 10"):
+        added(MODEL, TILTED)
+
+
+def test_which_effects_samples_have_their_own_of() -> None:
+    """Those that say so, and lists per chip."""
+    assert is_by_sample(TILTED)
+    assert is_by_sample(CHIPS.model_copy(update={"scope": "global"}))
+    assert not is_by_sample(made_up.spec("ripple"))
+
+
+@pytest.mark.parametrize(
+    ("samples", "words"),
+    [({"gone": {"chips": {"gain": (0.1,)}}}, "a sample of the data: array"),
+     ({"array": {"other": {"gain": (0.1,)}}}, "an effect of the model: chips")],
+)  # fmt: skip
+def test_values_of_strangers_are_refused(samples: Any, words: str) -> None:
+    """Of a sample that is not in the data, of an effect that is not in the model."""
+    model = hidden("chips", {"gain": ()}).model_copy(update={"samples": samples})
+    with pytest.raises(InputError, match=words):
+        refuse_strangers(model, ["array"])
+
+
+def test_a_sample_without_values_has_the_effect_as_it_is_under_effects() -> None:
+    """And a model whose samples' values were taken away has them nowhere."""
+    model = hidden("chips", {"gain": ()}, array={"gain": (0.1, 0.2)})
+    assert of_sample(model, "array").effects[0].parameters == {"gain": (0.1, 0.2)}
+    assert of_sample(model, "third").effects[0].parameters == {"gain": ()}
+    assert without_samples(model, "chips").samples == {}
+    assert model.sha256 != without_samples(model, "chips").sha256

@@ -1,0 +1,188 @@
+"""Replays of diagnose and add: the same numbers lead to the same verdict and ladder; what was forged is named."""
+
+from __future__ import annotations
+
+import copy
+import json
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from luxloop.audit import Compared, Place
+from luxloop.model import Model
+from luxloop.model_file import to_toml
+from tests.validation.analytic import MODEL, PATHS
+from tests.validation.diagnose import made_up
+from validation import auditor, reexecute
+from validation.adding import told_of
+from validation.comparing import maps_of
+from validation.dataset.folder import read_dataset
+from validation.diagnose.diagnosis import Diagnosis
+from validation.diagnose.document import document
+from validation.fit import Fit, fit
+from validation.model_versions import save
+from validation.redeciding import changed_model, diagnosis
+from validation.reexecute import FromAnswers, fitted
+
+Plain = dict[str, Any]
+EXAMPLE = Path(__file__).parents[2] / "examples" / "paper-like"
+
+
+def said(compare: Callable[[Place], object]) -> list[tuple[str, str]]:
+    """What a comparison says that is not identical: of what, and with which verdict."""
+    told: list[Compared] = []
+    compare(Place(told.append))
+    assert told
+    return [(one.what, one.verdict) for one in told if one.verdict != "identical"]
+
+
+def as_kept(plain: Plain) -> Plain:
+    """As a journal has it."""
+    back: Plain = json.loads(json.dumps(plain))
+    return back
+
+
+@pytest.fixture(scope="module")
+def found() -> Diagnosis:
+    """Of images with a ripple."""
+    return made_up.diagnosis(made_up.data("ripple", 3, 0.06), known=made_up.CATALOGUE[:3])
+
+
+@pytest.fixture(scope="module")
+def diagnosed(found: Diagnosis) -> Plain:
+    """Its document."""
+    return as_kept(document(found, [], 1))
+
+
+def put(tree: Any, path: str, value: Any) -> Any:
+    """A copy with another value at a path of names and numbers."""
+    forged = copy.deepcopy(tree)
+    *parents, last = [int(part) if part.isdigit() else part for part in path.split("/")]
+    at = forged
+    for part in parents:
+        at = at[part]
+    at[last] = value
+    return forged
+
+
+def test_a_verdict_follows_from_its_numbers(diagnosed: Plain) -> None:
+    """As it was told, from shares, held-out errors and rivals alone."""
+    assert diagnosed["verdict"] in ("one_effect", "cannot_tell_apart")
+    assert said(lambda at: diagnosis(diagnosed, at)) == []
+    nothing = as_kept(document(made_up.diagnosis(made_up.data(None, 9), known=made_up.CATALOGUE[:1]), [], 1))
+    assert nothing["verdict"] == "nothing_visible"
+    assert said(lambda at: diagnosis(nothing, at)) == []
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "what"),
+    [
+        ("verdict", "none_of_the_known", "verdict"),
+        ("set", ["fog"], "set of the verdict"),
+        ("effects/0/explained_share", 0.1, "verdict"),
+        ("effects/0/chi2_drop", 0.5, "effects, the best first"),
+        ("scores/0/chi2_drop", 0.0, "scores, the best first"),
+        ("structure/p", 0.9, "verdict"),
+    ],
+)
+def test_a_forged_diagnosis_is_named(diagnosed: Plain, path: str, value: Any, what: str) -> None:
+    """Each number that the verdict or a rank rests on."""
+    forged = put(diagnosed, path, value)
+    if path.endswith("explained_share"):  # an effect that explains little is doubted only where structure is left
+        forged["effects"][0]["p_left"] = 0.0001
+    if path == "structure/p":
+        forged["scores_p"] = 0.9
+    assert (what, "differs") in said(lambda at: diagnosis(forged, at))
+
+
+def test_a_forged_map_of_residuals_is_named(found: Diagnosis, diagnosed: Plain) -> None:
+    """Of a diagnosis as of a comparison: chi2 of each image comes from its map."""
+    maps = maps_of(found.steps[0].ground.fit)
+    assert said(lambda at: auditor.compared(diagnosed, maps, at)) == []
+    forged = {**maps, "array": 1.01 * maps["array"]}
+    assert said(lambda at: auditor.compared(diagnosed, forged, at)) == [("chi2 per pixel, array", "differs")]
+
+
+@pytest.fixture(scope="module")
+def fits(found: Diagnosis) -> tuple[Fit, Fit]:
+    """Without and with the ripple."""
+    kept = found.steps[0].kept
+    assert kept is not None
+    assert kept.fit is not None
+    return found.steps[0].ground.fit, kept.fit
+
+
+def added(fits: tuple[Fit, Fit], folder: Path) -> Plain:
+    """What add told, and a version of the model file that keeps it."""
+    before, after = map(made_up.ground_of, fits)
+    file = folder / "model.toml"
+    told = told_of(MODEL, before, after) | {"effect": "ripple", "model": {"path": str(file)}, "version": None}
+    save(file, fits[1].model, "add ripple", told["errors"])
+    return as_kept(told)
+
+
+def test_an_added_effect_and_its_rung_of_the_ladder_follow(fits: tuple[Fit, Fit], tmp_path: Path) -> None:
+    """What changed from the two models, errors from those before and after, the version as it is kept."""
+    told = added(fits, tmp_path)
+    assert said(lambda at: changed_model(told, "add", MODEL, at)) == []
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "what"),
+    [
+        ("fitted/0/value", 0.123, "fitted value"),
+        ("diff/0", "nothing", "what changed"),
+        ("after/held_out_percent", 0.01, "errors of the version"),
+        ("after_sha256", "0" * 64, "model after"),
+        ("trusted", False, "trusted"),
+    ],
+)
+def test_a_forged_value_is_named(fits: tuple[Fit, Fit], tmp_path: Path, path: str, value: Any, what: str) -> None:
+    """Values, errors, the model."""
+    told = put(added(fits, tmp_path), path, value)
+    assert (what, "differs") in said(lambda at: changed_model(told, "add", MODEL, at))
+
+
+def test_a_forged_entry_of_the_ladder_is_named(fits: tuple[Fit, Fit], tmp_path: Path) -> None:
+    """The line of versions.jsonl says another error than the journal; a line that is gone is not comparable."""
+    told = added(fits, tmp_path)
+    log = tmp_path / ".luxloop" / "models" / "versions.jsonl"
+    line = json.loads(log.read_text())
+    line["errors"]["held-out %"] = 0.001
+    log.write_text(json.dumps(line) + "\n")
+    assert said(lambda at: changed_model(told, "add", MODEL, at)) == [("entry of the ladder", "differs")]
+    log.write_text("")
+    assert said(lambda at: changed_model(told, "add", MODEL, at)) == [("entry of the ladder", "not comparable")]
+
+
+def test_changed_data_are_named(tmp_path: Path) -> None:
+    """A folder that is as it was, one that was changed, one that is gone."""
+    sha256 = read_dataset(EXAMPLE).sha256
+    here, gone = ({"dataset": {"path": str(path)}} for path in (EXAMPLE, tmp_path))
+    assert said(lambda at: auditor.same_data(here, sha256, at)) == []
+    assert said(lambda at: auditor.same_data(here, "0" * 64, at)) == [("data set", "differs")]
+    assert said(lambda at: auditor.same_data(gone, sha256, at)) == [("data set", "not comparable")]
+
+
+def test_a_fit_on_the_answers_of_today_is_held_to_the_record(
+    fits: tuple[Fit, Fit], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Level 4: what add told, told again by the same fits; other answers give other errors, and that is named."""
+
+    def again(scale: float) -> Callable[[Any, Model, FromAnswers], Plain]:
+        images = [made_up.replace(one, signal_dn=scale * one.signal_dn) for one in fits[1].problem.images]
+        other = fit(MODEL, images, made_up.Affected(), free=PATHS)
+        grounds = made_up.ground_of(fits[0]), made_up.ground_of(fits[1] if scale == 1.0 else other)
+        return lambda _, model, __: told_of(model, *grounds)
+
+    sha256 = read_dataset(EXAMPLE).sha256
+    told = added(fits, tmp_path) | {"dataset": {"path": str(EXAMPLE)}}
+    step = SimpleNamespace(command="add", document=told, dataset_sha256=sha256)
+    journal: Any = SimpleNamespace(attachments=lambda: {"model.toml": to_toml(MODEL).encode()})
+    monkeypatch.setitem(reexecute.FITS, "add", again(1.0))
+    assert said(lambda at: fitted(journal, step, FromAnswers({}), at)) == []
+    monkeypatch.setitem(reexecute.FITS, "add", again(1.02))
+    assert ("the fit anew, after", "differs") in said(lambda at: fitted(journal, step, FromAnswers({}), at))

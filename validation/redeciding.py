@@ -1,0 +1,104 @@
+"""Level 3 of a replay of diagnose, add and remove: what was decided, anew from the numbers that were told with it.
+
+diagnose     the verdict and its set from shares, held-out errors, p-values and rivals; ranks
+add, remove  what changed from the two models; the errors of the ladder from those before and after, and whether
+             the version that the model file keeps still has them
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from luxloop.audit import Place
+from luxloop.errors import InputError
+from luxloop.model import Model
+from luxloop.model_file import diff, parse_toml
+from validation.diagnose.explained import Share
+from validation.diagnose.held_out import Change
+from validation.diagnose.ladder import BEFORE, Rung
+from validation.diagnose.verdict import Explanation, Verdict, decided, doubted, is_visible
+from validation.model_versions import versions
+from validation.sample_values import members
+
+Document = Mapping[str, Any]
+
+
+def diagnosis(document: Document, at: Place) -> None:
+    """Compares a diagnosis with what follows from its numbers."""
+    tried = [explanation_of(row) for row in document["effects"]]
+    again = verdict_of(document, tried)
+    if again is None:
+        at.exact("verdict", document["verdict"], "fit_not_trustworthy" if document["distrust"] else "nothing_visible")
+    else:
+        at.exact("verdict", document["verdict"], again.word)
+        at.exact("set of the verdict", document["set"], list(again.set))
+        if again.word == "one_effect":
+            at.exact("sentence begins", document["sentence"][: len(again.sentence)], again.sentence)
+    drops = [(not one.plausible, -one.drop) for one in tried]
+    at.exact("effects, the best first", drops, sorted(drops))
+    scored = [-row["chi2_drop"] for row in document["scores"]]
+    at.exact("scores, the best first", scored, sorted(scored))
+
+
+def verdict_of(document: Document, tried: Sequence[Explanation]) -> Verdict | None:
+    """The verdict on what was tried; None where nothing was, for nothing was to be seen or the fit is in doubt."""
+    if not tried or not is_visible(document["structure"]["p"], document["scores_p"]):
+        return None
+    found = decided(tried, document["known"], lambda: "", lambda _: "")
+    named = [one for one in tried if one.name in found.set[:1]]
+    return doubted(named[0]) if named and named[0].distrust and len(document["added"]) == 1 else found
+
+
+def explanation_of(row: Document) -> Explanation:
+    """What an effect came to, as its row says."""
+    ((parameter, size),) = row["size"].items()
+    change, percents = row["held_out_density_change"], (row["held_out_before"], row["held_out_after"])
+    return Explanation(
+        name=row["name"], parameter=parameter, unit=size["unit"], value=size["value"],
+        error=_infinite(size["error"]), shape=tuple(row["shape"].items()), drop=row["chi2_drop"],
+        share=Share(row["explained_share"], _infinite(row["explained_share_error"])),
+        held_out=None if change is None else Change(change, row["held_out_density_error"]),
+        held_out_percent=None if None in percents else percents, log_evidence=row["log_evidence"],
+        plausible=row["plausible"], distrust=tuple(row["distrust"]), p_left=row["p_left"], sigma=row["sigma"],
+        sigma_rival=row["sigma_rival"], as_well=tuple(tuple(words) for words in row["fits_as_well"]),
+    )  # fmt: skip
+
+
+def changed_model(document: Document, command: str, before: Model | None, at: Place) -> None:
+    """Compares what add or remove told with the models before and after, and with the version that is kept."""
+    after = parse_toml(document["after_model"], "after_model")
+    at.exact("model after", document["after_sha256"], after.sha256)
+    if before is not None:
+        at.exact("what changed", document["diff"], [str(one) for one in diff(before, after)])
+    here = after.leaves() | {path: value for path, (_, value) in members(after).items()}
+    for row in document["fitted"]:
+        at.exact("fitted value", row["value"], here.get(row["path"]), row["path"])
+    at.exact("trusted", document["trusted"], not document["reason"])
+    rungs = Rung(**document["after"]), Rung(**document["before"])
+    at.exact("errors of the version", document["errors"], rungs[0].errors() | rungs[1].errors(BEFORE))
+    _ladder(document, f"{command} {document['effect']}", at)
+
+
+def _ladder(document: Document, command: str, at: Place) -> None:
+    """Compares with the line that the model file's versions have of it."""
+    file = Path(document["model"]["path"])
+    try:
+        kept = [one for one in versions(file) if (one.command, one.sha256) == (command, document["after_sha256"])]
+    except (InputError, OSError) as error:
+        at.nothing("entry of the ladder", f"{error}"[:300])
+        return
+    if not kept:
+        at.nothing("entry of the ladder", f"{file.name} has no version by {command!r} with this model")
+    elif document["errors"] not in [one.errors for one in kept]:
+        at.exact("entry of the ladder", document["errors"], kept[-1].errors, f"version {kept[-1].number}")
+    else:
+        at.exact("entry of the ladder", document["errors"], document["errors"])
+
+
+def _infinite(value: float | None) -> float:
+    """Documents write an error that is not known as null."""
+    return float(np.inf) if value is None else value
