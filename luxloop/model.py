@@ -199,8 +199,7 @@ class Model(Words):
         numbers = [name for name in leaves if name.startswith(("environment.", "effects."))]
         if path not in numbers:
             raise InputError(where, path, "the path of a number in the model", did_you_mean(path, numbers))
-        value = leaves[path]
-        values = value if isinstance(value, list) else [value]
+        values = value if isinstance(value := leaves[path], list) else [value]
         if not all(isinstance(one, float) for one in values):
             raise InputError(where, value, "a number in the model", f"give {path} a value, or remove this table")
         if not all(fit.lower <= one <= fit.upper for one in values):

@@ -134,16 +134,17 @@ class Diagnosing:
         tested = scores(projected, found.residual, found.variance_scale, seed=self.solver.seed)
         return {one.name: one.best for one in tested.effects}
 
-    def added(self, found: Fit, effect: EffectSpec) -> Fit:
-        """The fit with an effect at its best shape, what shapes it free where the data hold it.
+    def refitted(self, found: Fit, effect: EffectSpec) -> Refitted:
+        """The fit with an effect at its best shape, what shapes it free where the data hold it."""
+        added = refit(found, self.scored(found, [effect])[effect.name], slopes_of(found))
+        return finished(added, found.problem.predictor, found.problem.predict_curves)
 
-        Where each sample has its own of it, with a value for each.
-        """
+    def added(self, found: Fit, effect: EffectSpec) -> Fit:
+        """The fit of the model that has an effect besides: where each sample has its own of it, a value for each."""
         if is_by_sample(effect) and not is_of_film(effect):
             self.scored(found, [effect])  # what these data cannot show is said first
             return with_own_values(found, effect, self._apart)
-        added = refit(found, self.scored(found, [effect])[effect.name], slopes_of(found))
-        ended = finished(added, found.problem.predictor, found.problem.predict_curves).fit
+        ended = self.refitted(found, effect).fit
         if ended is None:
             raise ValueError(f"{effect.name} is a group, and no sample has its own of it")
         return ended
