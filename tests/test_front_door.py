@@ -319,7 +319,7 @@ def test_ctrl_c_right_at_the_start_ends_with_130_and_no_traceback(nobody: Settin
     """From when `main` has taken charge of it on, also while modules are being imported."""
     code = (
         "import luxloop.cli as door; whole = door.app;"
-        "door.app = lambda: (print('ready', flush=True), whole())[1]; door.main()"
+        "door.app = lambda words: (print('ready', flush=True), whole(words))[1]; door.main()"
     )
     with subprocess.Popen(
         [sys.executable, "-c", code, "serve", "thin-film"],

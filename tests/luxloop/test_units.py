@@ -39,6 +39,7 @@ PURE = {
     "off": "in the unit of the effect's parameter",
     "shape_grid": "in the unit of the effect's parameter",
     "parameters": "values by name; the names carry the units",
+    "samples": "values by sample, effect and name; the names carry the units",
     "errors": "values by name; the names carry the units",
     # ratios
     "progress_ratio": "share of a task that is done",
@@ -48,6 +49,8 @@ PURE = {
     "magnification_error": "ratio of lengths",
     "distortion": "ratio of lengths",
     "vignetting": "share of the light",
+    "more_psf": "kinds with um, as psf_um",
+    "more_vignetting": "laws with shares of the light",
     "glare": "share of the light",
     "nonlinearity": "ratio of signals",
     "saturation_knee": "share of the full scale",
