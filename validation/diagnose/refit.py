@@ -39,6 +39,9 @@ MOST_HALVINGS = 4
 SLOPE_SHARE = 0.1
 """Of its range: by which an effect that the twin cannot represent is moved for the slope at its own value."""
 
+OTHER_LIGHT = 0.1
+"""Share by which the light of an image may differ from that at the anchor, before Monte Carlo is asked for anew."""
+
 AS_WELL = 2.0
 """Of chi2, within which words fit as well, and the first in the catalogue's order, the most usual ones, are taken:
 differences of Akaike's criterion below 2 decide nothing (Burnham and Anderson, Model Selection, 2002)."""
@@ -182,7 +185,7 @@ def finished(found: Refitted, predictor: ImagePredictor, curves: CurvePredictor 
         return found
     if not spec.twin:
         return _at_its_value(found, fit, predictor)
-    problem = replace(fit.problem, predictor=predictor, predict_curves=curves)
+    problem = _about_its_light(replace(fit.problem, predictor=predictor, predict_curves=curves), fit)
     own, as_well = _best_words(found, problem, fit.values)
     lengths = [one for one in spec.parameters if one.off is None and not one.choices and one.name != CHIP]
     shapes = [one for one in lengths if one.shape_grid]
@@ -195,6 +198,26 @@ def finished(found: Refitted, predictor: ImagePredictor, curves: CurvePredictor 
         if better.converged and not any(path in better.at_limit for path in limits):
             own = better
     return replace(_with(found, own), as_well=as_well)
+
+
+def _about_its_light(problem: Problem, fit: Fit) -> Problem:
+    """The problem about Monte Carlo at the fit's own model, where that has another light than the anchor's has.
+
+    What the twin errs by, and the noise of Monte Carlo, is carried over as it is from the anchor, but it goes with
+    the light: of a chip that absorbs nothing it is several times too large for one that absorbs 200 /cm.
+    """
+    anchor, known = problem.anchor, problem.unknowns.named(fit.values)
+    if anchor is None or not anchor.histories:
+        return problem
+    models, alone = (fit.model, anchor.model), replace(anchor, histories=0)
+    here, there = (problem.predictor.images(one, problem.views(one, known), (), alone) for one in models)
+    changes = [
+        float(one.irradiance_per_mm2.sum() / other.irradiance_per_mm2.sum()) - 1.0
+        for one, other in zip(here, there, strict=True)
+    ]
+    if max(map(abs, changes), default=0.0) <= OTHER_LIGHT:
+        return problem
+    return replace(problem, anchor=replace(anchor, model=fit.model, poses=tuple(fit.poses.values())))
 
 
 def _best_words(found: Refitted, problem: Problem, values: Real) -> tuple[Fit, tuple[Words, ...]]:

@@ -36,6 +36,7 @@ NOISY_GAP = 1.0  # chi2: what derivatives with noise of their own may still prom
 STALLS = 2  # steps in a row that gain nothing
 SETTLED, SETTLING = 0.1, 8  # of an error that the last step about a noisy anchor may be long; most steps
 FAR = 30.0  # errors: a step as long is not one of the last, and by noisy columns may lead anywhere
+RISE = 30.0  # chi2: what is solved for instead of the least chi2 lies within some errors of it
 POSE_PX = 1e-3
 MAX_ITERATIONS = 40
 MAX_DAMPING = 1e6
@@ -161,7 +162,7 @@ def _settled(evaluation: Evaluation, iteration: int) -> Fit:
 
     Its steps are by the product of columns with columns of another walk. Steps by their own product fall short along
     what the data hardly know, for there most of a column is noise, and end up to an error from the solution. Where
-    they are long they are none of the last, and none is taken: the fit has not converged.
+    they are long, or chi2 would rise, they are none of the last, and none is taken: the fit has not converged.
     """
     problem, others, turn = evaluation.problem, evaluation.others(), 0
     while True:
@@ -172,7 +173,7 @@ def _settled(evaluation: Evaluation, iteration: int) -> Fit:
         seen = np.isfinite(error) & (error > 0.0)
         longest = float(np.max(np.abs(step.change[seen]) / error[seen], initial=0.0))
         near, turn = longest < SETTLED, turn + 1
-        if near or longest > FAR or turn == SETTLING:
+        if near or longest > FAR or step.chi2 > reduced.chi2 + RISE or turn == SETTLING:
             return conclude(evaluation, white, reduced, columns, step, iteration + turn, near, other)
         evaluation = problem.evaluate(problem.unknowns.within(evaluation.values + step.change))
 
