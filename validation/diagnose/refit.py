@@ -42,6 +42,10 @@ SLOPE_SHARE = 0.1
 OTHER_LIGHT = 0.1
 """Share by which the light of an image may differ from that at the anchor, before Monte Carlo is asked for anew."""
 
+STEPS, FURTHER = 12, 8
+"""Of a fit with frozen derivatives, and of one with its own, after it: what explains little never converges, and what
+is named is fitted further."""
+
 AS_WELL = 2.0
 """Of chi2, within which words fit as well, and the first in the catalogue's order, the most usual ones, are taken:
 differences of Akaike's criterion below 2 decide nothing (Burnham and Anderson, Model Selection, 2002)."""
@@ -132,7 +136,7 @@ def freed(base: Fit, score: Score, slopes: Slopes) -> Refitted:
         if residual @ residual <= base.chi2:
             break
         size = 0.5 * candidate.size(start)
-    found = refitted(problem, values)
+    found = refitted(problem, values, STEPS)
     return Refitted(
         candidate, found.value(path), found.error(path), found.residual, _chi2(found), path in found.at_limit,
         found.model, found,
@@ -142,7 +146,7 @@ def freed(base: Fit, score: Score, slopes: Slopes) -> Refitted:
 def switched(base: Fit, candidate: Candidate, slopes: Slopes) -> Refitted:
     """The effect is there, with the word of its shape."""
     frozen, start = with_slopes(base.problem, slopes), base.problem.unknowns.named(base.values)
-    found = refitted(*posed(frozen, added(base.model, candidate, None), tuple(slopes), start))
+    found = refitted(*posed(frozen, added(base.model, candidate, None), tuple(slopes), start), STEPS)
     return Refitted(candidate, 1.0, 0.0, found.residual, _chi2(found), False, found.model, found)
 
 
@@ -244,17 +248,17 @@ def _best_words(found: Refitted, problem: Problem, values: Real) -> tuple[Fit, t
 def _renewed(problem: Problem, values: Real) -> Fit:
     """The fit with derivatives of its own: those where it begins, renewed where it has moved away from there.
 
-    What does not converge so, for an effect as large bends, is fitted with derivatives anew at each step.
+    What does not converge so, for an effect as large bends, takes some steps more with derivatives anew at each.
     """
-    found = refitted(frozen_at(problem, values), values)
+    found = refitted(frozen_at(problem, values), values, STEPS)
     for _ in range(MAX_ANCHORS - 1):
         paths = problem.unknowns.model_paths
         at = dict(zip(found.names, values, strict=True))
         if all(abs(found.value(path) - at[path]) <= ANCHOR_MOVE * found.error(path) for path in paths):
             break
         values = found.values
-        found = refitted(frozen_at(replace(problem, images=found.problem.images), values), values)
-    return found if found.converged else refitted(problem, found.values)
+        found = refitted(frozen_at(replace(problem, images=found.problem.images), values), values, STEPS)
+    return found if found.converged else refitted(problem, found.values, FURTHER)
 
 
 def _at_its_value(found: Refitted, fit: Fit, predictor: ImagePredictor) -> Refitted:

@@ -102,9 +102,9 @@ def _lent(
     return Anchored(model, 0) if paths or anchor_at is None else anchor_at(model)
 
 
-def refitted(problem: Problem, values: Real) -> Fit:
-    """The fit of a problem from given values, about the anchor that it has."""
-    return _unclipped(problem, values)
+def refitted(problem: Problem, values: Real, most: int = MAX_ITERATIONS) -> Fit:
+    """The fit of a problem from given values, about the anchor that it has, in so many iterations at most."""
+    return _unclipped(problem, values, most=most)
 
 
 def _quieter(found: Fit, most_histories: int) -> Fit:
@@ -119,23 +119,23 @@ def _quieter(found: Fit, most_histories: int) -> Fit:
     return _unclipped(replace(found.problem, anchor=moved), found.values, found.iterations)
 
 
-def _unclipped(problem: Problem, values: Real, done: int = 0) -> Fit:
+def _unclipped(problem: Problem, values: Real, done: int = 0, most: int = MAX_ITERATIONS) -> Fit:
     """The optimum, without pixels whose mean of several frames may hide a clipped one (their mean is too low)."""
-    found = _descend(problem, values, done)
+    found = _descend(problem, values, done, most)
     images = []
     for image, signal_dn in zip(problem.images, found.signals_dn, strict=True):
         used = image.used & ~image.may_be_clipped(signal_dn)
         images.append(image if used.sum() in (0, image.used.sum()) else replace(image, used=used))
     if all(new is old for new, old in zip(images, problem.images, strict=True)):
         return found
-    return _descend(replace(problem, images=tuple(images)), found.values, found.iterations)
+    return _descend(replace(problem, images=tuple(images)), found.values, found.iterations, most)
 
 
-def _descend(problem: Problem, values: Real, done: int = 0) -> Fit:
+def _descend(problem: Problem, values: Real, done: int, most: int) -> Fit:
     """Iterates from `values` to the optimum, or as far as it goes."""
     noisy = problem.anchor is not None and problem.anchor.histories > 0
     evaluation, damping, stalled = problem.evaluate(values), 0.0, 0
-    for iteration in range(done, done + MAX_ITERATIONS):
+    for iteration in range(done, done + most):
         white, reduced, columns = linearised(evaluation)
         last = reduced.step()
         if noisy and reduced.chi2 - last.chi2 < NOISY_GAP:
