@@ -73,7 +73,7 @@ def _alike(specs: Sequence[EffectSpec], maps: Sequence[Document]) -> Iterator[st
         yield "\n".join((head, "|---|---|---|", *rows))
         if one["imitated"]:
             yield f"Wholly imitated by calibration: {', '.join(map(_link, one['imitated']))}."
-    left = [spec for spec in specs if all(spec.name not in one["names"] for one in maps)]
+    left = [spec for spec in specs if all(spec.name not in one["names"] + one["imitated"] for one in maps)]
     discrete, idle = (", ".join(_link(one.name) for one in left if one.discrete is kind) for kind in (True, False))
     yield (
         f"In neither table: {discrete}, which have no slope at off (refits test them); {idle}, which change nothing"
