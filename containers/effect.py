@@ -96,6 +96,7 @@ class Effect(Words):
             stage=cls.stage,
             description=(cls.__doc__ or "").strip().partition("\n")[0],
             parameters=tuple(cls._parameter(name) for name in cls.model_fields),
+            acts_on=cls.acts_on(),
             scope=cls.scope,
             twin=cls.twin,
             discrete=cls.discrete,
@@ -104,6 +105,11 @@ class Effect(Words):
             formula=cls.formula,
             reference=cls.reference,
         )
+
+    @classmethod
+    def acts_on(cls) -> tuple[Literal["modules", "films"], ...]:
+        """What it may change: modules, films that are measured by themselves, or both."""
+        return ("modules",)
 
     @classmethod
     def _parameter(cls, name: str) -> EffectParameter:
@@ -130,6 +136,11 @@ class StackEffect(Effect):
 
     stage = "stack"
     of: ClassVar[tuple[Literal["dbr", "film"], ...]] = ("dbr", "film")
+
+    @classmethod
+    def acts_on(cls) -> tuple[Literal["modules", "films"], ...]:
+        """By `of`: a DBR is a module's."""
+        return tuple("modules" if one == "dbr" else "films" for one in cls.of)
 
     def stack(self, stack: Stack) -> Stack:
         """The stack with the effect. Of a measured film it is marked which layer is the film (`stack.films_in`)."""
@@ -190,6 +201,11 @@ class CurveEffect(Effect):
 
     stage = "detector"
     scope = "per_camera"
+
+    @classmethod
+    def acts_on(cls) -> tuple[Literal["modules", "films"], ...]:
+        """Films alone."""
+        return ("films",)
 
     def curve(self, value: Real, reading: Reading) -> Real:
         """The values (wavelength, angle) with the effect."""

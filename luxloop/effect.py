@@ -20,6 +20,7 @@ Stage = Literal["stack", "surface", "emission", "volume", "geometry", "detector"
 Scope = Literal["global", "per_camera", "per_sample"]
 Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,63}$")]
 Number = Annotated[float, Field(strict=True)]
+Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 Value = Number | Annotated[str, Field(max_length=64)] | Annotated[tuple[Number, ...], Field(max_length=10_000)]
 
 
@@ -81,6 +82,7 @@ class EffectSpec(Words):
     stage: Stage
     description: str
     parameters: tuple[EffectParameter, ...] = ()
+    acts_on: tuple[Literal["modules", "films"], ...] = Field(("modules",), description="Films: those measured.")
     scope: Scope = Field("global", description="Whether one value holds for all data, per camera or per sample.")
     twin: bool = Field(True, description="Whether the deterministic twin can represent it.")
     discrete: bool = Field(False, description="No slope at off: tested by a refit, not by the score.")
@@ -88,9 +90,7 @@ class EffectSpec(Words):
     excludes: tuple[Name, ...] = Field((), description="Effects that say the same in another way.")
     formula: str = Field("", max_length=1000, description="What it does, in a line.")
     reference: str = Field("", description="Where its formula comes from.")
-    source_sha256: str | None = Field(
-        None, pattern=r"^[0-9a-f]{64}$", description="Of the file of a user's own effect."
-    )
+    source_sha256: Sha256 | None = Field(None, description="Of the file of a user's own effect.")
 
     @field_validator("parameters")
     @classmethod
@@ -104,7 +104,7 @@ class AppliedEffect(Words):
 
     name: Name
     parameters: dict[Name, Value] = Field(default_factory=dict)
-    source_sha256: str | None = Field(None, pattern=r"^[0-9a-f]{64}$")
+    source_sha256: Sha256 | None = None
 
 
 def check(applied: AppliedEffect, spec: EffectSpec) -> None:

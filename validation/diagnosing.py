@@ -93,7 +93,8 @@ class Diagnosing:
         spectra = any(not curve.free_scale for curve in self.observed.curves)
         for name in self.among:
             self.known.spec(name)
-        seen = [one for one in self.known.specs if (spectra if is_of_film(one) else self.observed.of_modules)]
+        there = {"films": spectra, "modules": self.observed.of_modules}
+        seen = [one for one in self.known.specs if any(there[what] for what in one.acts_on)]
         chosen = [one for one in seen if not self.among or one.name in self.among]
         if not chosen:
             mend = "images of modules show effects of modules, spectra those of films"
@@ -107,8 +108,8 @@ class Diagnosing:
         names = {one.name for one in self.effects}
         wanted = set(self.among) or {one.name for one in self.known.specs}
         left = [one for one in self.known.specs if one.name not in names and one.name in wanted]
-        why = {True: "there are no spectra of films", False: "there are no images of modules"}
-        idle = [f"{one.name}: {why[is_of_film(one)]}" for one in left]
+        why = {"films": "there are no spectra of films", "modules": "there are no images of modules"}
+        idle = [f"{one.name}: {why[one.acts_on[0]]}" for one in left]
         return idle + [f"{name}: {reason}" for name, reason in self.refused.items()]
 
     def signatures(self, found: Fit, effects: Sequence[EffectSpec]) -> list[Candidate]:
@@ -141,7 +142,7 @@ class Diagnosing:
 
     def added(self, found: Fit, effect: EffectSpec) -> Fit:
         """The fit of the model that has an effect besides: where each sample has its own of it, a value for each."""
-        if is_by_sample(effect) and not is_of_film(effect):
+        if is_by_sample(effect) and self.observed.of_modules and "modules" in effect.acts_on:
             self.scored(found, [effect])  # what these data cannot show is said first
             return with_own_values(found, effect, self._apart)
         ended = self.refitted(found, effect).fit
@@ -182,8 +183,3 @@ class Diagnosing:
             reason = next(text for text in self.untested if text.startswith(f"{name}:"))
             raise InputError("EFFECT", name, "an effect that these data can show", reason)
         return found
-
-
-def is_of_film(spec: EffectSpec) -> bool:
-    """Whether an effect is one of films that are measured by themselves, not of modules."""
-    return spec.name.startswith("film_")

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from validation.effects.known import Known
     from validation.prediction import Predictor
 
-Stage = Literal["stack", "surface", "volume", "emission", "geometry", "module", "detector", "curve"]
+Stage = Literal["stack", "film", "surface", "volume", "emission", "geometry", "module", "detector", "curve"]
 ModelName = Annotated[str, typer.Option("--model", help="paper, clear_chip, or a model file.")]
 Folder = Annotated[Path | None, typer.Option(help="Of your effects (else LUXLOOP_EFFECTS, else ./effects).")]
 NoLocal = Annotated[bool, typer.Option("--no-local", help="Use a running set only; start no processes.")]
@@ -90,7 +90,9 @@ def show(
 
 def new(
     name: Annotated[str, typer.Argument(metavar="NAME", help="Small letters, digits and _: my_haze.")],
-    stage: Annotated[Stage, typer.Option(help="Where it acts; curve: on what an instrument reads of a film.")],
+    stage: Annotated[
+        Stage, typer.Option(help="Where it acts; film, curve: on a measured film, on what is read of it.")
+    ],
     effects: Folder = None,
     no_local: NoLocal = False,
     router: Router = None,
@@ -226,7 +228,7 @@ def _checked(at: _At, model: Model, name: str, source: bytes | None, quick: bool
 
     _refuse_other_file(at.known, name, source)
     findings = list(trial_of(at.known, name))
-    document: dict[str, Any] = {"effect": name, "near": []}
+    document: dict[str, Any] = {"effect": name, "near": {}}
     if all(one.ok is not False for one in findings):
         spec = at.known.spec(name)
         document["stanza"] = _stanza(spec)
@@ -257,30 +259,29 @@ def _predicted(at: _At, model: Model, spec: EffectSpec, quick: bool, document: d
     if not acting(spec):
         yield checking.Finding("derivative", None, "no parameter has a slope at off: refits will tell")
         return
-    ground, columns = _ground(at, model, spec)
-    if not columns:
-        yield checking.Finding("derivative", None, "it changes neither the example images nor the example film")
-        return
-    yield from checking.derivative(ground, model, spec, columns)
-    if ground.sight.views:
-        yield checking.shared_numbers(ground, at.predictor, model, spec)
-    if not quick:
-        near = checking.likeness(ground, model, spec, columns, at.known.specs)
-        document["near"] = [[name, round(cosine, 3)] for name, cosine in near]
-        yield checking.looks_like(near, ground.name)
-        yield self_diagnosed(ground, at.predictor, at.known, model, spec, columns, lambda _, words: at.say(words))
+    for ground in _grounds(at, model, spec):
+        columns = ground.columns(model, spec)
+        if not columns:
+            yield checking.Finding("derivative", None, f"it changes nothing of {ground.name}")
+            continue
+        yield from checking.derivative(ground, model, spec, columns)
+        if ground.sight.views:
+            yield checking.shared_numbers(ground, at.predictor, model, spec)
+        if not quick:
+            near = checking.likeness(ground, model, spec, columns, at.known.specs)
+            document["near"][ground.name] = [[name, round(cosine, 3)] for name, cosine in near]
+            yield checking.looks_like(near, ground.name)
+            yield self_diagnosed(ground, at.predictor, at.known, model, spec, columns, lambda _, words: at.say(words))
 
 
-def _ground(at: _At, model: Model, spec: EffectSpec) -> tuple[Ground, list[Any]]:
-    """Where an effect shows, and its columns there; none where it shows nowhere."""
+def _grounds(at: _At, model: Model, spec: EffectSpec) -> Iterator[Ground]:
+    """What an effect is looked at on: example images, the example film, or both."""
     from validation.effects.confusing import curve_ground, image_ground
 
-    ground = image_ground(model, at.predictor, at.known)
-    columns = ground.columns(model, spec)
-    if not columns:
-        ground = curve_ground(model, at.predictor)
-        columns = ground.columns(model, spec)
-    return ground, columns
+    if "modules" in spec.acts_on:
+        yield image_ground(model, at.predictor, at.known)
+    if "films" in spec.acts_on:
+        yield curve_ground(model, at.predictor)
 
 
 def _refuse_other_file(known: Known, name: str, source: bytes | None) -> None:

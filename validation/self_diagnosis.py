@@ -1,8 +1,8 @@
 """The last question to an effect: hidden in data at 20 sigma, is it found again, or a group that it belongs to?
 
-The data are the example images as the model with the effect would give them, with noise of the example camera drawn
-once; then the model without it is diagnosed among all effects that the workers know. Effects that change no image,
-those of films, are not asked.
+The data are the example images, or the curves of the example film, as the model with the effect would give them, with
+noise of the example camera or instruments drawn once; then the model without it is diagnosed among all effects that
+the workers know, of films their thickness and index free.
 """
 
 from __future__ import annotations
@@ -20,9 +20,10 @@ from validation.diagnose.diagnosis import Diagnosis
 from validation.diagnosing import Diagnosing
 from validation.effects.checking import Finding
 from validation.effects.confusing import Ground
-from validation.effects.example_set import example_images
+from validation.effects.example_set import example_images, example_spectra
 from validation.effects.known import Known, acting, applied, far_end, off_values, with_effect
 from validation.effects.signatures import Column, projected
+from validation.fit import curves_of, film_parameters
 from validation.fit.parameters import free_paths
 from validation.measured import MeasuredImage
 from validation.observed import Observed
@@ -47,16 +48,14 @@ def self_diagnosed(
     progress: Callable[[float, str], None] = lambda *_: None,
 ) -> Finding:
     """Whether a diagnosis names the effect or its group; nothing is demanded where no single size can be hidden."""
-    if not ground.sight.views:
-        return Finding(CHECK, None, "not asked of effects of films: it hides them in images")
     if any(one.per_chip for one in acting(spec)):
         return Finding(CHECK, None, "an effect of every chip has no single size to hide")
     one, value, sigma = loudest(spec, columns, projected(columns, ground.projection))
     if sigma < 1.0:
         return Finding(CHECK, None, "calibration imitates it wholly")
     truth = with_effect(model, applied(spec, off_values(spec) | {one.name: value}))
-    images = noisy(truth, predictor, spec)
-    found = diagnosis(images, predictor, known, model, spec, progress)
+    observed = noisy_images(truth, predictor, spec) if ground.sight.views else noisy_spectra(truth, predictor)
+    found = diagnosis(observed, predictor, known, model, spec, progress)
     return verdict_on(spec, found, f"{one.name} {value:.3g} {one.unit}".rstrip(), sigma)
 
 
@@ -76,11 +75,12 @@ def loudest(spec: EffectSpec, columns: Sequence[Column], rows: Real) -> tuple[Ef
     return found
 
 
-def noisy(truth: Model, predictor: Predictor, spec: EffectSpec) -> tuple[MeasuredImage, ...]:
+def noisy_images(truth: Model, predictor: Predictor, spec: EffectSpec) -> Observed:
     """The example images of a model, with the noise of the example camera."""
     random = np.random.default_rng(NOISE_SEED)
     images = example_images(truth, predictor, 0 if spec.twin else TRUTH_HISTORIES, TRUTH_SEED)
-    return tuple(replace(one, signal_dn=one.signal_dn + _noise(one, random)) for one in images)
+    seen = tuple(replace(one, signal_dn=one.signal_dn + _noise(one, random)) for one in images)
+    return Observed(seen, (), (), {})
 
 
 def _noise(image: MeasuredImage, random: np.random.Generator) -> Real:
@@ -88,20 +88,29 @@ def _noise(image: MeasuredImage, random: np.random.Generator) -> Real:
     return np.sqrt(image.variance_dn2(signal_dn)) * random.standard_normal(signal_dn.shape)
 
 
+def noisy_spectra(truth: Model, predictor: Predictor) -> Observed:
+    """The curves of the example film as a model has it, with the errors of its instruments."""
+    random = np.random.default_rng(NOISE_SEED)
+    spectra = [
+        replace(one, table=replace(one.table, value=random.normal(one.table.value, one.table.sigma)))
+        for one in example_spectra(truth, predictor)
+    ]
+    films, films_at = film_parameters(spectra)
+    return Observed((), tuple(curves_of(spectra, ())), tuple(films), films_at)
+
+
 def diagnosis(
-    images: tuple[MeasuredImage, ...],
+    observed: Observed,
     predictor: Predictor,
     known: Known,
     model: Model,
     spec: EffectSpec,
     progress: Callable[[float, str], None],
 ) -> Diagnosis:
-    """Of images by the model without the effect; about Monte Carlo where the twin cannot represent it."""
+    """Of data by the model without the effect; about Monte Carlo where the twin cannot represent it."""
     solver = Solver(None if spec.twin else ANCHOR_HISTORIES)
-    observed = Observed(images, (), (), {})
-    return Diagnosing(
-        model, observed, predictor, known, solver, tuple(free_paths(model)), progress=progress
-    ).diagnosed()
+    free = tuple(free_paths(model)) if observed.of_modules else ()
+    return Diagnosing(model, observed, predictor, known, solver, free, progress=progress).diagnosed()
 
 
 def verdict_on(spec: EffectSpec, found: Diagnosis, hidden: str, sigma: float) -> Finding:

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
+from containers.catalogue import Catalogue
 from containers.ray_tracing.exit_source import ExitSource
 from containers.ray_tracing.worker import RayComputation
 from containers.thin_film.worker import FilmComputation
@@ -19,9 +20,9 @@ from luxloop.failure import Failure
 class Workers:
     """Answers requests as the set would, and remembers them."""
 
-    def __init__(self, folder: Path) -> None:
-        self._film = FilmComputation.in_folder(folder)
-        self._ray = RayComputation(self._fetch, ExitSource())
+    def __init__(self, folder: Path, effects: Path | None = None) -> None:
+        self._film = FilmComputation.in_folder(folder, Catalogue(effects))
+        self._ray = RayComputation(self._fetch, ExitSource(), catalogue=Catalogue(effects))
         self.asked: list[Any] = []
         self.lost: set[str] = set()
         """Hashes of tables that nobody has any more."""

@@ -30,6 +30,8 @@ SHARED = 0.5
 SMALL = 0.03
 """Of the typical size of an effect: what it then does is small beside the noise of few histories."""
 HISTORIES = 131_072
+TOLD = 5
+"""How many others are named that look like it."""
 
 
 @dataclass(frozen=True)
@@ -130,4 +132,6 @@ def looks_like(near: Sequence[tuple[str, float]], ground: str) -> Finding:
     if not near:
         return Finding("looks like", None, f"calibration imitates it wholly, on {ground}: the data cannot show it")
     name, cosine = near[0]
-    return Finding("looks like", None, f"your effect is {cosine:.2f} the same as {name} for {ground}")
+    then = ", ".join(f"{other} {value:.2f}" for other, value in near[1:TOLD])
+    said = f"your effect is {cosine:.2f} the same as {name} for {ground}" + (f"; then {then}" if then else "")
+    return Finding("looks like", None, said)

@@ -8,10 +8,11 @@ from typing import Literal
 import numpy as np
 
 from luxloop.model import Model
-from validation.dataset.manifest import CameraFacts, FilmLayer, FilmSample, ImageShot, Sample
+from validation.dataset.manifest import CameraFacts, FilmLayer, FilmSample, ImageShot, Sample, SpectrumShot
+from validation.dataset.spectra import SpectrumTable
 from validation.effects.signatures import Projection
 from validation.fit.whitening import Whitening
-from validation.measured import MeasuredImage
+from validation.measured import MeasuredImage, MeasuredSpectrum
 from validation.prediction import Curve, Predictor, View
 
 CAMERA = CameraFacts(
@@ -29,12 +30,13 @@ MODULE = Sample(
 """The module that signatures are drawn on."""
 MODULE_VIEW = View(MODULE, rows=121, columns=121, pixel_um=20.0, centre_px=(60.0, 60.0))
 
+FILM_FREE = {"thickness_nm": (250.0, 350.0), "a": (1.4, 1.6), "b_um2": (-0.02, 0.03)}
 FILM = FilmSample(
     id="example",
     exit="Si",
-    layers=(FilmLayer(cauchy=(1.5, 0.004), thickness_nm=300.0),),
+    layers=(FilmLayer(cauchy=(1.5, 0.004), thickness_nm=300.0, free=FILM_FREE),),
 )
-"""A polymer on silicon."""
+"""A polymer on silicon, its thickness and index to be fitted."""
 FILM_ERRORS = {"R": 0.002, "T": 0.002, "psi": 0.05, "delta": 0.2}
 """Of a reading: shares and degrees, as of a good spectrometer and ellipsometer."""
 
@@ -109,7 +111,7 @@ def pixel_um_of() -> float:
 def film_projection(model: Model, predictor: Predictor) -> Projection:
     """The example film's curves with an instrument's errors; its thickness and index may move."""
     curves = film_curves()
-    paths = [f"films.{FILM.id}.layers.0.{name}" for name in ("thickness_nm", "a", "b_um2")]
+    paths = [f"films.{FILM.id}.layers.0.{name}" for name in FILM_FREE]
     found = predictor.spectra(model, curves, paths)
     sigma = tuple(np.full(81, FILM_ERRORS[curve.quantity]) for curve in curves)
     columns = [
@@ -118,3 +120,21 @@ def film_projection(model: Model, predictor: Predictor) -> Projection:
     ]
     taken, _ = np.linalg.qr(np.array(columns).T)
     return Projection(Whitening((), (), (), (), sigma), (), (1.0,) * len(curves), taken)
+
+
+def example_spectra(model: Model, predictor: Predictor) -> list[MeasuredSpectrum]:
+    """The curves of the example film as the model itself would give them, without noise."""
+    curves = film_curves()
+    return [
+        _spectrum(curve, found.value) for curve, found in zip(curves, predictor.spectra(model, curves), strict=True)
+    ]
+
+
+def _spectrum(curve: Curve, value: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> MeasuredSpectrum:
+    wavelength_nm, aoi_deg = (np.asarray(one, float) for one in (curve.wavelength_nm, curve.aoi_deg))
+    sigma = np.full(value.shape, FILM_ERRORS[curve.quantity])
+    name = curve.quantity
+    shot = SpectrumShot(id=name, kind="spectrum", film=FILM.id, quantity=name, file="example")
+    return MeasuredSpectrum(
+        shot, FILM, SpectrumTable(wavelength_nm, aoi_deg, tuple(curve.polarisation), value, sigma)
+    )

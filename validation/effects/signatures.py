@@ -36,14 +36,17 @@ Real = NDArray[np.float64]
 STEP_SHARE = {"value": 0.1, "square": 0.04}
 """Of the way from off to the end of the range, in the score variable: 0.04 of its square is 0.2 of a width. By Monte
 Carlo steps are as long as the range allows."""
+FILM_STEPS = 0.1
+"""Of these steps, where only films are in sight: curves have no noise, and delta bends within a part of such."""
 LEAST_ROOM = 0.1
 """Of a parameter's range: with less to its nearer end, steps go to the other one only."""
 HISTORIES = 1_000_000
 """Of Monte Carlo, for each sample, where the twin cannot represent an effect."""
 COLUMN_ERROR = 0.08
 """Of what parameters imitate of a column: their columns err by 2 to 4 %, as it does. What is left below is that."""
-ROUNDING = 1e-6
-"""Of a column, that gains, offsets and poses leave where they imitate it wholly."""
+ROUNDING, FILM_ROUNDING = 1e-6, 2e-3
+"""Of a column, that gains, offsets and poses leave where they imitate it wholly; that thickness and index of a film
+do, whose columns are differences of exact curves."""
 
 
 @dataclass(eq=False)
@@ -154,6 +157,7 @@ def signature(
     RemoteError : what a worker refuses.
     """
     columns: list[Column] = []
+    scale *= 1.0 if sight.views else FILM_STEPS
     for one in acting(spec):
         for sample, chips, views in _modules(sight, one, apart):
             several = range(chips) if one.per_chip else (None,)
@@ -273,7 +277,7 @@ class Projection:
     taken: Real
     """(row, direction), orthonormal: what gains, offsets, poses and free parameters can imitate."""
     nuisances: Real | None = None
-    """The same for gains, offsets and poses alone, which are known without error; None: they are all of it."""
+    """The same for gains, offsets, poses and films' own alone, whose columns are exact; None: they are all of it."""
 
     @classmethod
     def of(cls, fit: Fit) -> Projection:
@@ -304,9 +308,8 @@ class Projection:
 
 
 def _nuisances(problem: Problem) -> NDArray[np.bool_]:
-    """Which unknowns are no parameters of the model or of films."""
-    parameters = {*problem.unknowns.model_paths, *problem.unknowns.other_paths}
-    return np.array([name not in parameters for name in problem.unknowns.names], bool)
+    """Which unknowns are no parameters of the model, whose columns are by exits."""
+    return np.array([name not in problem.unknowns.model_paths for name in problem.unknowns.names], bool)
 
 
 def projected(columns: Sequence[Column], projection: Projection) -> Real:
@@ -317,6 +320,7 @@ def projected(columns: Sequence[Column], projection: Projection) -> Real:
     left = found - (found @ projection.taken) @ projection.taken.T
     alone = projection.taken if projection.nuisances is None else projection.nuisances
     in_all, in_alone = (np.sum((found @ part) ** 2, axis=1) for part in (projection.taken, alone))
-    noise = COLUMN_ERROR * np.sqrt(np.maximum(in_all - in_alone, 0.0)) + ROUNDING * np.linalg.norm(found, axis=1)
+    rounding = ROUNDING if projection.gains else FILM_ROUNDING
+    noise = COLUMN_ERROR * np.sqrt(np.maximum(in_all - in_alone, 0.0)) + rounding * np.linalg.norm(found, axis=1)
     left[np.linalg.norm(left, axis=1) < noise] = 0.0
     return np.asarray(left)

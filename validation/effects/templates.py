@@ -15,7 +15,7 @@ class {Name}(StackEffect):
     """Every face of a film is rough."""
 
     name = "{name}"
-    of = ("dbr",)  # "film": acts on measured films, too
+    of = ("dbr",)  # ("dbr", "film"): of measured films, too
     formula = "r -> r exp(-2 (k s)^2) at every face, Debye and Waller"
     reference = "where the formula is written, or: engineering judgement"
 
@@ -28,6 +28,33 @@ class {Name}(StackEffect):
             return stack
         layers = tuple(layer.model_copy(update={"roughness_nm": self.rough_nm}) for layer in stack.layers)
         return stack.model_copy(update={"layers": layers, "inside_roughness_nm": self.rough_nm})
+'''
+
+FILM = '''"""{title}: the film absorbs in a band."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from containers.effect import StackEffect, parameter
+from containers.stack import StackRows
+
+
+class {Name}(StackEffect):
+    """Something in a measured film, a dye perhaps, absorbs in a band about 500 nm."""
+
+    name = "{name}"
+    of = ("film",)
+    scope = "per_sample"
+    formula = "k -> k + k0 exp(-((l - 500 nm) / 40 nm)^2) in the film"
+    reference = "where the formula is written, or: engineering judgement"
+
+    extinction: float = parameter("k0", unit="", lower=0.0, upper=0.02, off=0.0, one_sided=True)
+
+    def rows(self, rows: StackRows) -> StackRows:
+        band = 1j * self.extinction * np.exp(-(((rows.wavelength_nm - 500.0) / 40.0) ** 2))
+        film = np.r_[False, rows.film, False]  # of all media: bulk, layers, bulk
+        return replace(rows, index=rows.index + np.outer(band, film))
 '''
 
 SURFACE = '''"""{title}: less is recorded of light that comes in flat."""
@@ -197,10 +224,10 @@ class {Name}(CurveEffect):
 '''
 
 STAGES = {
-    "stack": STACK, "surface": SURFACE, "volume": VOLUME, "emission": EMISSION, "geometry": GEOMETRY,
+    "stack": STACK, "film": FILM, "surface": SURFACE, "volume": VOLUME, "emission": EMISSION, "geometry": GEOMETRY,
     "module": MODULE, "detector": DETECTOR, "curve": CURVE,
 }  # fmt: skip
-"""By stage; a curve effect acts in the stage `detector` of the instrument that measures films."""
+"""By stage; `film` is of the stage `stack`, `curve` of the stage `detector`, both of films that are measured."""
 
 
 def source_of(name: str, stage: str) -> str:

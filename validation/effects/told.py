@@ -57,12 +57,10 @@ def _short(value: Any) -> str:
 
 
 def report(document: Document) -> Iterator[str]:
-    """A line for each finding, what looks like it, what to paste."""
+    """A line for each finding, what to paste."""
     signs = {True: "ok", False: "FAILED", None: "-"}
     for one in document["findings"]:
         yield f"{signs[one['ok']]:<7} {one['check']:<21} {one['said']}"
-    for name, cosine in document["near"][1:5]:
-        yield f"{'':<7} {'':<21} {cosine:.2f}  {name}"
     if document["ok"]:
         yield f"\nInto a model file, with values of your own:\n{document['stanza']}"
     else:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import ast
+from pathlib import Path
 
 import pytest
 
+from containers.catalogue import Catalogue
 from luxloop.errors import InputError
 from tests.validation.effects.test_signatures import AMPLITUDE, spec_of
 from validation.effects.checking import Finding, looks_like, trial_of
@@ -24,6 +26,16 @@ def test_an_example_is_short_and_bears_the_name(stage: str) -> None:
     assert defined == "MyHaze"
     assert 'name = "my_haze"' in text
     assert not any(blank in text for blank in ("{name}", "{Name}", "{title}"))
+
+
+def test_every_example_passes_its_trial_and_says_whether_it_acts_on_films(tmp_path: Path) -> None:
+    """By the stage; what stands on the DBR of a chip is no film that is measured."""
+    for stage in STAGES:
+        (tmp_path / f"my_{stage}.py").write_text(source_of(f"my_{stage}", stage))
+    found = Catalogue(tmp_path)
+    assert found.refused == {}
+    acts_on = {one.name: one.acts_on for one in found.specs if one.source_sha256}
+    assert acts_on == {f"my_{one}": ("films",) if one in ("film", "curve") else ("modules",) for one in STAGES}
 
 
 def test_values_are_taken_as_given_and_refused_out_of_range() -> None:
@@ -49,5 +61,5 @@ def test_a_refused_file_fails_with_its_reason_and_of_the_catalogue_nothing_is_de
 def test_the_sentence_says_how_much_it_is_the_same() -> None:
     """With the cosine and the name; where calibration imitates it wholly it says that."""
     said = looks_like([("distance_error", 0.971), ("camera_psf", 0.5)], "six example images").said
-    assert said == "your effect is 0.97 the same as distance_error for six example images"
+    assert said == "your effect is 0.97 the same as distance_error for six example images; then camera_psf 0.50"
     assert "calibration imitates it wholly" in looks_like([], "six example images").said
