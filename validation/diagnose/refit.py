@@ -23,6 +23,7 @@ from validation.effects.known import CHIP, applied, off_values, with_effect
 from validation.fit import Fit, prior_chi2, refitted, unknowns_of
 from validation.fit.image_fit import ANCHOR_MOVE, MAX_ANCHORS
 from validation.fit.problem import CurvePredictor, ImagePredictor, Problem
+from validation.fit.start import start_values
 from validation.prediction import Anchored
 from validation.prediction.differences import stencil
 
@@ -111,7 +112,7 @@ def refit(base: Fit, score: Score, slopes: Slopes) -> Refitted:
     if score.candidate.is_group:
         return spread(base, score.candidate)
     if score.candidate.is_switch:
-        return switched(base, score.candidate, slopes)
+        return switched(base, score.candidate)
     return freed(base, score, slopes)
 
 
@@ -143,10 +144,25 @@ def freed(base: Fit, score: Score, slopes: Slopes) -> Refitted:
     )  # fmt: skip
 
 
-def switched(base: Fit, candidate: Candidate, slopes: Slopes) -> Refitted:
-    """The effect is there, with the word of its shape."""
-    frozen, start = with_slopes(base.problem, slopes), base.problem.unknowns.named(base.values)
-    found = refitted(*posed(frozen, added(base.model, candidate, None), tuple(slopes), start), STEPS)
+def switched(base: Fit, candidate: Candidate) -> Refitted:
+    """The effect is there, with the word of its shape; derivatives are its own, for it is no small change.
+
+    Begun where the fit without it ended, or, where that went far to make up for it, where it began: from what fits
+    better.
+    """
+    paths, ended = base.problem.unknowns.model_paths, base.problem.unknowns.named(base.values)
+    problem, near = posed(base.problem, added(base.model, candidate, None), paths, ended)
+    if problem.anchor is not None and not problem.anchor.histories:  # exits of its own chips stand for all
+        problem = replace(problem, anchor=replace(problem.anchor, model=problem.model))
+    begun = replace(problem, model=added(base.problem.model, candidate, None))
+    of_model = {
+        *paths,
+        *(name for name in ended if name.endswith((".gain", ".offset_dn", ".scale")) or name == "gain"),
+    }
+    anew = start_values(begun, {name: value for name, value in ended.items() if name not in of_model})
+    residuals = [one.evaluate(values).residual(base.whitening) for one, values in ((problem, near), (begun, anew))]
+    nearer = residuals[0] @ residuals[0] <= residuals[1] @ residuals[1]
+    found = refitted(problem, near if nearer else anew, STEPS)
     return Refitted(candidate, 1.0, 0.0, found.residual, _chi2(found), False, found.model, found)
 
 
@@ -190,6 +206,8 @@ def finished(found: Refitted, predictor: ImagePredictor, curves: CurvePredictor 
     if not spec.twin:
         return _at_its_value(found, fit, predictor)
     problem = _about_its_light(replace(fit.problem, predictor=predictor, predict_curves=curves), fit)
+    if found.candidate.is_switch and problem.anchor == fit.problem.anchor and fit.converged:
+        return found  # its derivatives are its own
     own, as_well = _best_words(found, problem, fit.values)
     lengths = [one for one in spec.parameters if one.off is None and not one.choices and one.name != CHIP]
     shapes = [one for one in lengths if one.shape_grid]
