@@ -152,18 +152,25 @@ def switched(base: Fit, candidate: Candidate) -> Refitted:
     """
     paths, ended = base.problem.unknowns.model_paths, base.problem.unknowns.named(base.values)
     problem, near = posed(base.problem, added(base.model, candidate, None), paths, ended)
-    if problem.anchor is not None and not problem.anchor.histories:  # exits of its own chips stand for all
-        problem = replace(problem, anchor=replace(problem.anchor, model=problem.model))
     begun = replace(problem, model=added(base.problem.model, candidate, None))
     of_model = {
         *paths,
         *(name for name in ended if name.endswith((".gain", ".offset_dn", ".scale")) or name == "gain"),
     }
     anew = start_values(begun, {name: value for name, value in ended.items() if name not in of_model})
-    residuals = [one.evaluate(values).residual(base.whitening) for one, values in ((problem, near), (begun, anew))]
-    nearer = residuals[0] @ residuals[0] <= residuals[1] @ residuals[1]
-    found = refitted(problem, near if nearer else anew, STEPS)
+    starts = [(_lending(problem), near), (_lending(begun), anew)]
+    residuals = [one.evaluate(values).residual(base.whitening) for one, values in starts]
+    better = int(np.argmin([residual @ residual for residual in residuals]))
+    found = refitted(*starts[better], STEPS)
     return Refitted(candidate, 1.0, 0.0, found.residual, _chi2(found), False, found.model, found)
+
+
+def _lending(problem: Problem) -> Problem:
+    """The problem whose own model's chip exits stand for all, where an anchor only lends them."""
+    anchor = problem.anchor
+    if anchor is None or anchor.histories:
+        return problem
+    return replace(problem, anchor=replace(anchor, model=problem.model))
 
 
 def spread(base: Fit, candidate: Candidate) -> Refitted:
