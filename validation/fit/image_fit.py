@@ -179,12 +179,22 @@ def _settled(evaluation: Evaluation, iteration: int) -> Fit:
 
 
 def crossed(evaluation: Evaluation, white: Whitening, reduced: Reduced, columns: Real, other: Real) -> Step:
-    """The step by the product of columns with others whose noise is independent; what is at a limit stays there."""
-    held = reduced.step().at_limit
-    longest = np.array([one.longest_step for one in reduced.parameters])
-    change = reduced.crossed_step(columns, other, evaluation.residual(white), ~held & ~reduced.blind)
-    change = evaluation.problem.unknowns.within(evaluation.values + np.clip(change, -longest, longest))
-    change -= evaluation.values
+    """The step by the product of columns with others whose noise is independent.
+
+    What is at a limit stays there where this step itself would lead beyond: the least chi2 of noisy columns is drawn
+    towards where they were taken, so what began at a limit would never leave it.
+    """
+    parameters, values = reduced.parameters, evaluation.values
+    at, held = reduced.at_limit(np.zeros(len(values))), np.zeros(len(values), bool)
+    lower, upper = (np.array([getattr(one, side) for one in parameters]) for side in ("lower", "upper"))
+    while True:
+        change = reduced.crossed_step(columns, other, evaluation.residual(white), ~held & ~reduced.blind)
+        beyond = at & ~held & ((values + change <= lower) | (values + change >= upper)) & (change != 0.0)
+        if not beyond.any():
+            break
+        held |= beyond
+    longest = np.array([one.longest_step for one in parameters])
+    change = evaluation.problem.unknowns.within(values + np.clip(change, -longest, longest)) - values
     return Step(change, reduced.chi2_after(change), held)
 
 
