@@ -86,8 +86,8 @@ _MODULE = (
            "The image is larger by this share: scale of a calibrated camera."),
     _known("bending_sensor", "camera", "nonlinearity", "", 0.0, 0.05,
            "Signals follow a power law, ymax (y / ymax)^(1 + a): a bent characteristic (EMVA 1288)."),
-    _known("full_wells", "camera", "saturation", "", 0.0, 0.25,
-           "Signals bend below (1 - a / 2) ymax, y (1 + (y / ys)^8)^(-1/8): wells fill up."),
+    _known("full_wells", "camera", "saturation", "", 0.0, 5.0,
+           "Signals y fall behind as y (1 + a (y / ymax)^24)^(-1/24): wells fill up just below full scale."),
     _known("lens_flare", "optics", "veiling_glare", "", 0.0, 0.1,
            "This share of all light is spread like (1 + r^2 / l^2)^(-3/2), l 0.9 mm: scatter in a lens (ISO 9358)."),
     _known("clipped_pupil", "optics", "vignetting", "", 0.0, 0.3,
@@ -171,10 +171,7 @@ _OUTSIDE_CAMERA = (
 )  # fmt: skip
 
 KINDS: Mapping[str, Kind] = MappingProxyType(
-    {
-        kind.name: kind
-        for kind in (*_STACK, *_CHIP, *_MODULE, *_OUTSIDE_OPTICS, *_OUTSIDE_MODULE, *_OUTSIDE_CAMERA)
-    }
+    {kind.name: kind for kind in (*_STACK, *_CHIP, *_MODULE, *_OUTSIDE_OPTICS, *_OUTSIDE_MODULE, *_OUTSIDE_CAMERA)}
 )
 """By name."""
 

@@ -22,7 +22,7 @@ Step = Callable[[Real, Camera, Hidden, int], Real]
 
 TRANSFERS = 6
 """Pixels that a signal lags behind over; half of it each time."""
-HOT, FLICKER_ROWS, RIPPLES, WELL = 6, 42.0, 4.0, 8.0
+HOT, FLICKER_ROWS, RIPPLES, WELL = 6, 42.0, 4.0, 24.0
 
 
 def signals_of(
@@ -116,9 +116,8 @@ def _bending_sensor(signal: Real, camera: Camera, hidden: Hidden, _: int) -> Rea
 
 
 def _full_wells(signal: Real, camera: Camera, hidden: Hidden, _: int) -> Real:
-    level = camera.room_dn * (1.4 - hidden.amount * 1.2)
-    share = np.maximum(signal, 0.0) / level
-    return signal * (1.0 + share**WELL) ** (-1.0 / WELL)
+    share = np.maximum(signal, 0.0) / camera.room_dn
+    return signal * (1.0 + hidden.amount * share**WELL) ** (-1.0 / WELL)
 
 
 def _adc_ripple(signal: Real, camera: Camera, hidden: Hidden, _: int) -> Real:
