@@ -1,9 +1,9 @@
 """A folder of blind sets: what lies where, and files that are written whole or not at all.
 
-    FOLDER/blind.json            what was asked for, but for what is hidden; the sets by name, and which share a light
-           sets/ID/              an ordinary data set, and seal.json: the hash of the answer
-           answers/ID.json       salt and answer; nobody needs it before the score
-           verdicts/ID.json      what the diagnosis said; ID.npz: the residuals that it left
+FOLDER/blind.json            what was asked for, but for what is hidden; the sets by name, and which share a light
+       sets/ID/              an ordinary data set, and seal.json: the hash of the answer
+       answers/ID.json       salt and answer; nobody needs it before the score
+       verdicts/ID.json      what the diagnosis said; ID.npz: the residuals that it left
 """
 
 from __future__ import annotations

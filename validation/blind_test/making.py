@@ -1,4 +1,4 @@
-"""Makes blind sets: a truth's light, what is hidden in it at the asked strength, the camera's noise, the sealed answer.
+"""Makes blind sets: a truth's light, what is hidden in it, as strongly as asked, the noise, the sealed answer.
 
     truth --light()--> plain --ruler--> amounts --light(), signals(), recorded()--> data set + seal | answer
 
@@ -7,11 +7,12 @@ A set appears in its folder whole, after its answer; what was made is kept when 
 
 from __future__ import annotations
 
+import secrets
 import shutil
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,7 @@ from numpy.typing import NDArray
 from luxloop import __version__
 from luxloop.errors import InputError
 from luxloop.model import Model
+from luxloop.words import sha256_of
 from validation import blind
 from validation.blind_test.folders import ANSWERS, INDEX, SETS, Entry, Index, read_index, read_json, write_whole
 from validation.blind_test.seals import Answer, Hiding, seal
@@ -45,7 +47,9 @@ Light = tuple[list[Real], list[Real]]
 
 HISTORIES = 4_000_000
 """Of walks inside a chip, for each sample."""
-WEAK = "too-weak.json"
+MOST_SEED = 10**15
+WEAK, ASKED = "too-weak.json", "asked.json"
+"""Beside the answers: kinds that do not show as strongly as was asked; what was asked for."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +74,14 @@ class Asked:
             allowed = f"at least {LEAST_SIGMA:g}"
             mend = f"{self.sigma:g} sigma are less than this camera can show beside {len(blind.KINDS)} other kinds"
             raise InputError("--sigma", self.sigma, allowed, mend)
+
+    def document(self) -> dict[str, Any]:
+        """What must be the same for making to go on."""
+        return {
+            **asdict(self.counts), "seed": self.seed, "sigma": self.sigma, "kinds": list(self.kinds),
+            "plan_sha256": sha256_of(self.plan), "model_sha256": self.model.sha256,
+            "pixels": self.pixels, "histories": self.histories, "rivals": self.rivals,
+        }  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,10 +153,7 @@ class Scene:
         """What these hidden things change, by each half of the light."""
         first, second = (
             self.ruler.left(
-                [
-                    one - other
-                    for one, other in zip(self.signals(there, hidden), self.signals(here), strict=True)
-                ]
+                [one - other for one, other in zip(self.signals(there, hidden), self.signals(here), strict=True)]
             )
             for there, here in zip(light, self.plain, strict=True)
         )
@@ -198,9 +207,7 @@ def _make_one(scene: Scene, one: Planned, kinds: Kinds) -> None:
     seconds = time.monotonic() - start
     raw = blind.recorded(scene.signals(_mean(light), hidden), scene.camera, hidden, one.seed)
     known_one = asked.rivals and len(found) == 1 and not one.outside
-    hidings = tuple(
-        _hiding(each, halves, scene.rivals if known_one else None) for each, _, halves in found
-    )
+    hidings = tuple(_hiding(each, halves, scene.rivals if known_one else None) for each, _, halves in found)
     for each in hidden:
         kinds.took(each.kind)
     temporary = asked.folder / SETS / f".{one.id}"
@@ -218,7 +225,7 @@ def _make_one(scene: Scene, one: Planned, kinds: Kinds) -> None:
 
 def _hidden(scene: Scene, one: Planned, kinds: Kinds, beside: Sequence[str]) -> tuple[blind.Hidden, Light, Halves]:
     """The next kind that shows as strongly as was asked."""
-    weak = _weak(scene.asked.folder)
+    weak = weak_kinds(scene.asked.folder)
     while (name := kinds.next(one.outside, beside)) is not None:
         try:
             return scene.hide(name, one.seed + len(beside))
@@ -261,18 +268,29 @@ def _mean(light: Light) -> list[Real]:
     return [(one + other) / 2.0 for one, other in zip(*light, strict=True)]
 
 
+def seed_of(folder: Path, seed: int | None) -> int:
+    """The seed that was given, that of the sets which are there, or one that nobody has chosen."""
+    if seed is not None:
+        return seed
+    path = folder / ANSWERS / ASKED
+    if path.exists():
+        return int(read_json(path, ASKED, "what was asked for", "name another folder")["seed"])
+    return secrets.randbelow(MOST_SEED)
+
+
 def _index(asked: Asked, plan: Sequence[Planned]) -> Index:
     """What the folder says of itself; InputError where it has other sets."""
     entries = tuple(sorted((Entry(id=one.id, light=one.light) for one in plan), key=lambda one: one.id))
     index = Index(plan=asked.plan.name, model=asked.model.name, sets=entries)
-    if (asked.folder / INDEX).exists():
-        there = read_index(asked.folder)
-        if there != index or _other_seed(asked):
-            mend = "the same --sets, --seed and counts go on; another folder for others"
+    path = asked.folder / ANSWERS / ASKED
+    if path.exists():
+        there = read_index(asked.folder) if (asked.folder / INDEX).exists() else index
+        if there != index or read_json(path, ASKED, "what was asked for", "name another folder") != asked.document():
+            mend = "the same command goes on with its sets; take another folder for others"
             raise InputError("FOLDER", str(asked.folder), "an empty folder, or one that the same command began", mend)
-        return there
-    if asked.folder.exists() and any(asked.folder.iterdir()):
+    elif asked.folder.exists() and any(asked.folder.iterdir()):
         raise InputError("FOLDER", str(asked.folder), "an empty folder, or one that is not there yet", "name another")
+    write_whole(path, asked.document())
     write_whole(asked.folder / INDEX, index.text())
     return index
 
@@ -282,14 +300,8 @@ def _answers(folder: Path) -> Iterator[Answer]:
         yield Answer.model_validate(read_json(path, path.name, "an answer", "make the sets anew")["answer"])
 
 
-def _other_seed(asked: Asked) -> bool:
-    return any(
-        (one.seed, one.histories) != (asked.seed, asked.histories) or one.asked_sigma not in (0.0, asked.sigma)
-        for one in _answers(asked.folder)
-    )
-
-
-def _weak(folder: Path) -> dict[str, float]:
+def weak_kinds(folder: Path) -> dict[str, float]:
+    """Kinds that do not show as strongly as was asked, with the sigma that they have at their most."""
     path = folder / ANSWERS / WEAK
     return dict(read_json(path, WEAK, "sigma by kind", "remove it")) if path.exists() else {}
 
@@ -297,7 +309,7 @@ def _weak(folder: Path) -> dict[str, float]:
 def _kinds(asked: Asked, plan: Sequence[Planned]) -> Kinds:
     """The kinds to choose from, with what sets that are there have taken."""
     kinds = Kinds(asked.kinds, asked.seed)
-    for name in _weak(asked.folder):
+    for name in weak_kinds(asked.folder):
         kinds.drop(name)
     for answer in _answers(asked.folder):
         if (asked.folder / SETS / answer.id).is_dir():

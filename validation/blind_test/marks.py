@@ -157,7 +157,7 @@ class Marked:
 
     @property
     def is_missed(self) -> bool:
-        """Whether a reader would call the verdict wrong: no right name or group, an alarm, a known one for another."""
+        """Whether the verdict is wrong: an alarm, a name of another group, a known effect for an unknown one."""
         if self.is_nothing:
             return self.verdict != "nothing_visible"
         if self.is_outside:

@@ -2,8 +2,8 @@
 
     hash = SHA-256(salt | canonical answer)        salt: 32 random bytes; canonical: `luxloop.words.canonical`
 
-The hash lies with the data and is copied into the verdict; salt and answer lie apart. An answer that was changed after
-the verdict, or a verdict on other data, is found when the seal is opened.
+The hash lies with the data and is copied into the verdict; salt and answer lie apart. An answer that was changed
+after the verdict, or a verdict on other data, is found when the seal is opened.
 """
 
 from __future__ import annotations
@@ -75,7 +75,9 @@ def seal_on(folder: Path, name: str) -> str:
     data = read_json(path, f"{name}: seal", "a set with a seal", "luxloop blind make writes it")
     if (data.get("schema"), data.get("version")) != (SCHEMA, __version__):
         found = f"{data.get('schema')}, luxloop {data.get('version')}"
-        raise InputError(f"{name}: seal", found, f"a set of this version: {SCHEMA}, luxloop {__version__}", "make new")
+        raise InputError(
+            f"{name}: seal", found, f"a set of this version: {SCHEMA}, luxloop {__version__}", "make new"
+        )
     return str(data.get("sha256"))
 
 

@@ -41,9 +41,11 @@ class Row:
 
     @property
     def said(self) -> str:
-        """shown, met, short, or no sets."""
+        """shown, met, short; no sets; nothing for a row without a target."""
         if self.value is None or self.low is None or self.high is None:
             return "no sets"
+        if self.least is None and self.most is None:
+            return ""
         least, most = self.least or 0.0, np.inf if self.most is None else self.most
         if not least <= self.value <= most:
             return "short"
