@@ -134,8 +134,8 @@ class Marked:
         if not (self.is_one and self.is_exact) or self.answer.hidden[0].kind not in SAME_SIZE:
             return None
         effect, parameter = SAME_SIZE[self.answer.hidden[0].kind]
-        row = next((one for one in self.record["effects"] if one["name"] == effect), {"size": {}})
-        found = row["size"].get(parameter)
+        rows = [one for one in self.record["effects"] if one["name"] == effect]
+        found = rows[0]["size"].get(parameter) if rows else None
         if found is None or not found["error"]:
             return None
         return float((found["value"] - self.answer.hidden[0].amount) / found["error"])

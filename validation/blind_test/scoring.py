@@ -59,7 +59,7 @@ def sentence(rows: Sequence[Row], sets: int) -> str:
 
 def maps_of(misses: Iterable[dict[str, Any]]) -> dict[str, NDArray[np.float64]]:
     """Residuals in sigma of what was missed, by "FOLDER/ID/SHOT/z" and "/z_with"."""
-    found = {}
+    found: dict[str, NDArray[np.float64]] = {}
     for one in misses:
         path = maps_path(Path(one["folder"]), one["id"])
         if path.exists():

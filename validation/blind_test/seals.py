@@ -93,8 +93,11 @@ def opened(folder: Path, name: str, verdict: dict[str, Any]) -> Answer:
     answer = parse(Answer, data.get("answer"), str(path))
     sealed, of_verdict = seal_on(folder, name), str(verdict.get("seal"))
     if seal_of(answer, salt) != sealed:
-        found, mend = seal_of(answer, salt), "answer or salt was changed after it was sealed: the set does not count"
-        raise InputError(f"{name}: answer", found, f"the answer whose seal is {sealed[:16]}...", mend)
+        changed, mend = (
+            seal_of(answer, salt),
+            "answer or salt was changed after it was sealed: the set does not count",
+        )
+        raise InputError(f"{name}: answer", changed, f"the answer whose seal is {sealed[:16]}...", mend)
     if of_verdict != sealed:
         mend = "the seal was changed after the verdict: the set does not count"
         raise InputError(f"{name}: seal", sealed, f"the seal on record, {of_verdict[:16]}...", mend)

@@ -1,7 +1,7 @@
 """How strongly something hidden shows: the length of its whitened image that a perfect fit could not take away.
 
     d = whitened (signals with it - signals without), binned as data are compared
-    sigma^2 = d'(1 - QQ')d          Q: what gains, offsets, poses and the calibrated parameters can imitate, priors known
+    sigma^2 = d'(1 - QQ')d      Q: what gains, offsets, poses and the calibrated parameters can imitate, with priors
 
 Q and the whitening are the project's own, about the truth itself: a fit of the twin would stop elsewhere, where the
 twin errs. The light is traced in two halves with random numbers of their own. Each gives a d, and d1'(1 - QQ')d2 is
