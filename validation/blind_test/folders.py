@@ -62,14 +62,15 @@ def read_index(folder: Path) -> Index:
 
 def read_json(path: Path, field: str, allowed: str, mend: str) -> dict[str, Any]:
     """A JSON object in a file. Raises InputError naming `field` where there is none."""
+    name = f"{path.parent.name}/{path.name}"
     try:
         data = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
-        raise InputError(field, f"{path} is not there", allowed, mend) from None
+        raise InputError(field, f"{name} is not there", allowed, mend) from None
     except (OSError, ValueError) as error:
-        raise InputError(field, f"{path}: {error}", allowed, mend) from None
+        raise InputError(field, f"{name}: {error}", allowed, mend) from None
     if not isinstance(data, dict):
-        raise InputError(field, f"{path} is no JSON object", allowed, mend)
+        raise InputError(field, f"{name} is no JSON object", allowed, mend)
     return data
 
 

@@ -194,7 +194,8 @@ def marked(folders: Sequence[Path]) -> list[Marked]:
             record = read_record(folder, name)
             one = Marked(folder, opened(folder, name, record), record)
             where = f"{folder}: {name}"
-            if (twice := seals.setdefault(record["seal"], where)) != where:
-                raise InputError("FOLDER", where, "each set once", f"it is {twice}, too")
+            if record["seal"] in seals:
+                raise InputError("FOLDER", where, "each set once", f"it is {seals[record['seal']]}, too")
+            seals[record["seal"]] = where
             found.append(one)
     return found
