@@ -65,9 +65,10 @@ def make(
         paper_plan() if plan is None else read_plan(plan), find_model(model),
         tuple(name.strip() for name in (kinds or "").split(",") if name.strip()), pixels, histories, rivals,
     )  # fmt: skip
+    begun = making.begin(asked)
     with workers(load_settings(router=router), no_local) as (predictor, known), bar(as_json or quiet) as heard:
-        index = making.make(asked, predictor, known, heard)
-    document = {"folder": str(folder), "sets": len(index.sets), "too_weak": making.weak_kinds(folder)}
+        making.make(begun, predictor, known, heard)
+    document = {"folder": str(folder), "sets": len(begun.plan), "too_weak": making.weak_kinds(folder)}
     typer.echo(json.dumps(document) if as_json else "\n".join(told.made(document)))
 
 

@@ -28,7 +28,17 @@ from validation import blind
 from validation.blind_test.folders import ANSWERS, INDEX, SETS, Entry, Index, read_index, read_json, write_whole
 from validation.blind_test.seals import Answer, Hiding, seal
 from validation.blind_test.strength import LEAST_SIGMA, Halves, NotReached, Ruler, amount_for, sigma_beside, sigma_of
-from validation.blind_test.truths import Counts, Kinds, Planned, Truth, camera_of, planned, sample_of, truth_of
+from validation.blind_test.truths import (
+    Counts,
+    Kinds,
+    Planned,
+    Truth,
+    camera_of,
+    planned,
+    sample_of,
+    surroundings_of,
+    truth_of,
+)
 from validation.dataset.folder import read_dataset, write_sums
 from validation.dataset.images import write_tiff
 from validation.dataset.manifest import ImageShot, Manifest
@@ -74,6 +84,8 @@ class Asked:
             allowed = f"at least {LEAST_SIGMA:g}"
             mend = f"{self.sigma:g} sigma are less than this camera can show beside {len(blind.KINDS)} other kinds"
             raise InputError("--sigma", self.sigma, allowed, mend)
+        camera_of(self.plan.camera, self.pixels)
+        surroundings_of(self.model)
 
     def document(self) -> dict[str, Any]:
         """What must be the same for making to go on."""
@@ -172,16 +184,34 @@ class Scene:
         return tried[amount_for(blind.KINDS[name], self.asked.sigma, measure)]
 
 
-def make(
-    asked: Asked, predictor: Predictor, known: Known, heard: Callable[[int, int, str], None] = lambda *_: None
-) -> Index:
-    """All sets that are not there yet. `heard` is told how many of how many are there, and what is done.
+@dataclass(frozen=True, eq=False)
+class Begun:
+    """A folder that sets are put into, and what they are."""
 
-    Raises InputError where the folder has other sets, and where no kind that is left shows as strongly as was asked.
+    asked: Asked
+    index: Index
+    plan: Sequence[Planned]
+    kinds: Kinds
+
+
+def begin(asked: Asked) -> Begun:
+    """The folder, begun or to be gone on with. Nothing is traced yet.
+
+    Raises InputError where it has other sets, and where there is no kind of a sort that is asked for.
     """
     plan = planned(asked.counts, asked.seed)
-    index = _index(asked, plan)
     kinds = _kinds(asked, plan)
+    return Begun(asked, _index(asked, plan), plan, kinds)
+
+
+def make(
+    begun: Begun, predictor: Predictor, known: Known, heard: Callable[[int, int, str], None] = lambda *_: None
+) -> None:
+    """All sets that are not there yet. `heard` is told how many of how many are there, and what is done.
+
+    Raises InputError where no kind that is left shows as strongly as was asked.
+    """
+    asked, plan, kinds = begun.asked, begun.plan, begun.kinds
     scene: Scene | None = None
     for number, one in enumerate(plan):
         if (asked.folder / SETS / one.id).is_dir():
@@ -193,7 +223,6 @@ def make(
         heard(number, len(plan), one.id)
         _make_one(scene, one, kinds)
     heard(len(plan), len(plan), "done")
-    return index
 
 
 def _make_one(scene: Scene, one: Planned, kinds: Kinds) -> None:
