@@ -1,4 +1,4 @@
-"""The commands: what they refuse before anything is traced, sets that are made in two goes, the whole of it at work."""
+"""The commands: what they refuse at once, sets that are made in two goes, and all of it at work."""
 
 from __future__ import annotations
 
