@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 
 import numpy as np
@@ -94,14 +95,21 @@ def _mixed(layers: list[Layer], index: float, sd_nm: float) -> list[Layer]:
     if not layers:
         return layers
     faces = np.concatenate([[0.0], np.cumsum([thickness for _, thickness in layers])])
-    start = -4.0 * sd_nm
-    count = int(np.ceil((faces[-1] - start) / SLICE_NM))
-    edges = np.linspace(start, faces[-1], count + 1)
+    edges = _cut(np.concatenate([[-4.0 * sd_nm], faces]))
     before = np.full_like(layers[0][0], index) ** 2
-    permittivity = np.repeat(before[None], count, axis=0)
+    permittivity = np.repeat(before[None], edges.size - 1, axis=0)
     for face, (n, _) in zip(faces[:-1], layers, strict=True):
         at = (edges - face) / sd_nm
         area = sd_nm * (at * ndtr(at) + np.exp(-(at**2) / 2.0) / np.sqrt(2.0 * np.pi))
         permittivity = permittivity + np.outer(np.diff(area) / np.diff(edges), n**2 - before)
         before = n**2
-    return [(np.sqrt(one), float(edges[1] - edges[0])) for one in permittivity]
+    return [(np.sqrt(one), float(thin)) for one, thin in zip(permittivity, np.diff(edges), strict=True)]
+
+
+def _cut(faces: Real) -> Real:
+    """Edges of slices between faces, each no thicker than `SLICE_NM`."""
+    pieces = [
+        np.linspace(low, high, max(1, int(np.ceil((high - low) / SLICE_NM))), endpoint=False)
+        for low, high in itertools.pairwise(faces)
+    ]
+    return np.concatenate([*pieces, faces[-1:]])
