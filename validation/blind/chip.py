@@ -20,8 +20,8 @@ from validation.blind.rays import decay, fresnel, laplace_slope, lobe, table_at,
 from validation.blind.words import Real
 
 X, Y, Z, DX, DY, DZ, WEIGHT, RAY = range(8)
-FAINT = 1e-3
-"""Below this share of its first weight a ray goes on by chance."""
+FAINT = 0.02
+"""Below this share of its first weight light in a chip goes on by chance."""
 MOST_FACES = 200_000
 METAL = 0.85
 FACETS = 8
@@ -76,19 +76,21 @@ class Body(NamedTuple):
 
 
 @kernel
-def next_exit(body: Body, half: float, ray: Real, out: Real, key: np.uint64, event: int, split: bool) -> int:
+def next_exit(
+    body: Body, half: float, ray: Real, out: Real, key: np.uint64, event: int, split: bool, faint: float
+) -> int:
     """Go on inside the chip to the next exit and write it to `out`; the event there, or -1 where the ray has ended.
 
     split: the light is divided at faces, what stays inside stays in `ray`; else it goes either way by chance.
+    faint: weight below which it goes on by chance.
     """
-    first = ray[WEIGHT]
     top, index = body.thickness, body.index
     for _ in range(MOST_FACES):
         weight = ray[WEIGHT]
-        if weight < FAINT * first or weight <= 0.0:
-            if weight <= 0.0 or uniform(key, event, 0) * FAINT * first > weight:
+        if weight < faint or weight <= 0.0:
+            if weight <= 0.0 or uniform(key, event, 0) * faint > weight:
                 return -1
-            ray[WEIGHT] = FAINT * first
+            ray[WEIGHT] = faint
         dx, dy, dz = ray[DX], ray[DY], ray[DZ]
         to_x = ((half if dx > 0.0 else -half) - ray[X]) / dx if dx != 0.0 else 1e300
         to_y = ((half if dy > 0.0 else -half) - ray[Y]) / dy if dy != 0.0 else 1e300

@@ -17,11 +17,11 @@ def kernel(function: Function) -> Function:
     """`function`, compiled on its first call for the types it is called with, or loaded from the cache.
 
     numba compiles again when the file of a kernel changes, but not when that of a kernel it calls does; hence the
-    folder is named by a digest of all files here.
+    folder is named by a digest of all files here. Kernels make no arrays, so references to them are not counted.
     """
     setattr(numba.config, "CACHE_DIR", _folder())  # noqa: B010 - made at run time, mypy does not know it
     compiler = cast(Any, numba.njit)
-    return cast(Function, compiler(function, nogil=True, cache=True, error_model="numpy", fastmath=False))
+    return cast(Function, compiler(function, nogil=True, cache=True, error_model="numpy", fastmath=False, _nrt=False))
 
 
 def _folder() -> str:

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from validation.blind.chip import DX, DY, DZ, WEIGHT, Body, X, Y, Z, enters, next_exit
+from validation.blind.chip import DX, DY, DZ, FAINT, WEIGHT, Body, X, Y, Z, enters, next_exit
 from validation.blind.compiled import kernel
 from validation.blind.rays import cosine_law, lobe, normal_number, uniform
 from validation.blind.words import Real
@@ -276,7 +276,7 @@ def _at_chip(
         ray[X + face] = -half if ray[DX + face] > 0.0 else half
         ray[X + 1 - face] = min(max(ray[X + 1 - face], -half), half)
     if enters(body, half, ray, face, key, event):
-        event = next_exit(body, half, ray, out, key, event, False)
+        event = next_exit(body, half, ray, out, key, event, False, FAINT * ray[WEIGHT])
         if event < 0:
             return -1
         for number in range(WEIGHT + 1):

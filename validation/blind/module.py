@@ -154,7 +154,7 @@ class Tracer:
         steps, shift = maps.recurrence(tracing.POINTS, (self._seed, CHIP))
         tracing.lone_chip(
             ground, body, self._slant, np.uint64(self._seed * 8 + CHIP), 0, self._histories, steps, shift,
-            grid.step_um, tally,
+            grid.step_um, tally, tracing.scratch(),
         )  # fmt: skip
         return tally / self._histories
 
@@ -170,7 +170,7 @@ class Tracer:
         steps, shift = maps.recurrence(tracing.POINTS, (self._seed, FIRST))
         tracing.module_change(
             ground, lone(ground, float(layout.halves_um[0])), body, even, layout.power, self._slant,
-            np.uint64(self._seed * 8 + FIRST), 0, max(1, count), steps, shift, grid.step_um, tally,
+            np.uint64(self._seed * 8 + FIRST), 0, max(1, count), steps, shift, grid.step_um, tally, tracing.scratch(),
         )  # fmt: skip
         return maps.smooth(self._even(sample, tally) / max(1, count), grid)
 
@@ -188,7 +188,7 @@ class Tracer:
             steps, shift = maps.recurrence(tracing.POINTS, (self._seed, KERNEL))
             tracing.bounce_kernel(
                 bare(ground), body, self._slant, np.uint64(self._seed * 8 + KERNEL), 0, self._histories, steps, shift,
-                grid.step_um, tally,
+                grid.step_um, tally, tracing.scratch(),
             )  # fmt: skip
             self._kept[key] = maps.transform_of_kernel(maps.symmetric(tally) / self._histories, grid)
         return self._kept[key]
@@ -221,7 +221,7 @@ class Tracer:
         steps, shift = maps.recurrence(tracing.POINTS, (self._seed, BOUNCE))
         tracing.bounce_change(
             ground, bare(ground), body, even, self._slant, np.uint64(self._seed * 8 + BOUNCE), 0, count, steps, shift,
-            grid.step_um, source, rows, columns, tally,
+            grid.step_um, source, rows, columns, tally, tracing.scratch(),
         )  # fmt: skip
         flux = source.sum() * grid.step_um**2 * self._surroundings.receiver_reflectance
         return maps.smooth(self._even(sample, tally) * (flux / count), grid)

@@ -8,10 +8,11 @@ difference between two histories with the same numbers, one in the module and on
 from __future__ import annotations
 
 from math import cos, exp, floor, pi, sin, sinh, sqrt
+from typing import NamedTuple
 
 import numpy as np
 
-from validation.blind.chip import DX, DY, DZ, RAY, WEIGHT, Body, X, Y, Z, next_exit
+from validation.blind.chip import DX, DY, DZ, FAINT, RAY, WEIGHT, Body, X, Y, Z, next_exit
 from validation.blind.compiled import kernel
 from validation.blind.ground import (
     LAND_COSINE,
@@ -31,6 +32,22 @@ from validation.blind.words import Real
 
 POINTS = 8
 RIM_UM = (30.0, 70.0)
+
+
+class Scratch(NamedTuple):
+    """What kernels write on; they make no arrays."""
+
+    ray: Real
+    out: Real
+    other: Real
+    inside: Real
+    at: Real
+    landings: Real
+
+
+def scratch() -> Scratch:
+    """Of one caller."""
+    return Scratch(*np.zeros((4, RAY)), np.zeros(POINTS), np.zeros((LANDINGS, LANDING)))
 
 
 @kernel
@@ -113,18 +130,17 @@ def glow(out: Real, body: Body, key: np.uint64, event: int, rim: Real) -> None:
 @kernel
 def lone_chip(
     ground: Ground, body: Body, slant: float, seed: np.uint64, first: int, count: int, steps: Real, shift: Real,
-    step: float, light: Real,
+    step: float, light: Real, scratch: Scratch,
 ) -> None:  # fmt: skip
     """The light of one chip at the origin before it meets the receiver twice, into `light`."""
-    ray, out, rim, more, at = np.empty(RAY), np.empty(RAY), np.empty(RAY), np.empty(RAY), np.empty(POINTS)
-    landings = np.empty((LANDINGS, LANDING))
+    ray, out, rim, more, at, landings = scratch
     for history in range(first, first + count):
         point(history, steps, shift, at)
         key = key_of(seed, np.uint64(history))
         born(body, ground.halves[0], at, ray)
-        event, exits = 0, 0
+        event, exits, faint = 0, 0, FAINT * ray[WEIGHT]
         while ray[WEIGHT] > 0.0:
-            event = next_exit(body, ground.halves[0], ray, out, key, event, True)
+            event = next_exit(body, ground.halves[0], ray, out, key, event, True, faint)
             if event < 0:
                 break
             if body.rim > 0.0:
@@ -141,11 +157,10 @@ def lone_chip(
 @kernel
 def module_change(
     full: Ground, lone: Ground, body: Body, even: bool, power: Real, slant: float, seed: np.uint64, first: int,
-    count: int, steps: Real, shift: Real, step: float, light: Real,
+    count: int, steps: Real, shift: Real, step: float, light: Real, scratch: Scratch,
 ) -> None:  # fmt: skip
     """What the module changes of the first light of all its chips, into `light`; even: by chips and edges alone."""
-    ray, out, keep, more, at = np.empty(RAY), np.empty(RAY), np.empty(RAY), np.empty(RAY), np.empty(POINTS)
-    landings = np.empty((LANDINGS, LANDING))
+    ray, out, keep, more, at, landings = scratch
     chips = power.size
     for history in range(first, first + count):
         point(history, steps, shift, at)
@@ -154,9 +169,9 @@ def module_change(
         weight, half = chips * power[chip], full.halves[chip]
         lone.halves[0] = half
         born(body, half, at, ray)
-        event, exits = 0, 0
+        event, exits, faint = 0, 0, FAINT * ray[WEIGHT]
         while ray[WEIGHT] > 0.0:
-            event = next_exit(body, half, ray, out, key, event, True)
+            event = next_exit(body, half, ray, out, key, event, True, faint)
             if event < 0:
                 break
             keep[:] = out
@@ -177,11 +192,10 @@ def module_change(
 @kernel
 def bounce_kernel(
     plain: Ground, body: Body, slant: float, seed: np.uint64, first: int, count: int, steps: Real, shift: Real,
-    step: float, light: Real,
+    step: float, light: Real, scratch: Scratch,
 ) -> None:  # fmt: skip
     """Where light that leaves the receiver at the origin by Lambert's law meets it again, without chips."""
-    ray, more, at = np.empty(RAY), np.empty(RAY), np.empty(POINTS)
-    landings = np.empty((LANDINGS, LANDING))
+    ray, _, _, more, at, landings = scratch
     for history in range(first, first + count):
         point(history, steps, shift, at)
         key = key_of(seed, np.uint64(history))
@@ -195,13 +209,13 @@ def bounce_kernel(
 def bounce_change(
     full: Ground, plain: Ground, body: Body, even: bool, slant: float, seed: np.uint64, first: int, count: int,
     steps: Real, shift: Real, step: float, source: Real, rows: Real, columns: Real, light: Real,
+    scratch: Scratch,
 ) -> None:  # fmt: skip
     """What the module changes of one bounce of the light `source` (y, x), into `light`.
 
     rows (y,), columns (y, x): cumulative shares of the source, by which places are drawn; its sum is the flux.
     """
-    ray, keep, more, at = np.empty(RAY), np.empty(RAY), np.empty(RAY), np.empty(POINTS)
-    landings = np.empty((LANDINGS, LANDING))
+    ray, _, keep, more, at, landings = scratch
     size = source.shape[0]
     for history in range(first, first + count):
         point(history, steps, shift, at)
