@@ -78,6 +78,9 @@ def diagnose(
     twin: Annotated[bool, typer.Option("--twin", help="By the twin alone, whose own error shows, too.")] = False,
     histories: Histories = HISTORIES,
     seed: Annotated[int, typer.Option(min=0, max=10**15, help="Of the Monte Carlo and the simulated noise.")] = 1,
+    among: Annotated[
+        str | None, typer.Option(help="Effects to choose from, with commas; default: all. On record: it is easier.")
+    ] = None,
     no_local: NoLocal = False,
     router: Router = None,
     as_json: Json = False,
@@ -94,7 +97,8 @@ def diagnose(
     chosen, solver = find_model(model), Solver(None if twin else histories, seed)
     verdicts: Counter[str] = Counter()
     with workers(settings, no_local) as (predictor, known), bar(as_json or quiet) as heard:
-        judge = Judge(folder, chosen, predictor, known, solver, settings.cache_dir / NULLS)
+        chosen_from = tuple(name.strip() for name in (among or "").split(",") if name.strip())
+        judge = Judge(folder, chosen, predictor, known, solver, settings.cache_dir / NULLS, chosen_from)
         verdicts.update(str(record["verdict"]) for record in judge.verdicts(index, heard))
     judged = sum(verdicts.values())
     document = {

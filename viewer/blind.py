@@ -194,7 +194,8 @@ def _set_rows(marks: Sequence[Document]) -> list[tuple[str, ...]]:
 
 def _provenance(document: Document) -> Iterator[str]:
     rows = [("folders", ", ".join(document["folders"])), ("luxloop", document["versions"]["luxloop"]),
-            ("predictions", ", ".join(document["solvers"]))]  # fmt: skip
+            ("predictions", ", ".join(document["solvers"])),
+            ("effects to choose from", ", ".join(str(count) for count in document["among"]))]  # fmt: skip
     for name, words in (("made", "to make a set"), ("diagnosed", "to diagnose one")):
         if spread := document["seconds"][name]:
             rows.append(

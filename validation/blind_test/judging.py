@@ -106,6 +106,8 @@ class Judge:
     known: Known
     solver: Solver
     cache: Path | None = None
+    among: tuple[str, ...] = ()
+    """Names of the effects to choose from; none: all."""
 
     def verdicts(
         self, index: Index, heard: Callable[[int, int, str], None] = lambda *_: None
@@ -132,14 +134,15 @@ class Judge:
         first = shared.ground is None
         engine = SharedDiagnosing(
             self.model, Observed.of(dataset), self.predictor, self.known, solver, tuple(free_paths(self.model)),
-            self.cache, shared=shared,
+            self.cache, among=self.among, shared=shared,
         )  # fmt: skip
         found = engine.diagnosed()
         told = document(found, engine.proposals, solver.seed)
         record = {
             "schema": SCHEMA, "id": one.id, "light": one.light, "seal": sealed, "dataset_sha256": dataset.sha256,
-            "model_sha256": self.model.sha256, "solver": self.solver.document(), "version": __version__,
-            "seconds": time.monotonic() - start, "first_of_light": first, **{name: told[name] for name in KEPT},
+            "model_sha256": self.model.sha256, "solver": self.solver.document(), "among": list(self.among),
+            "version": __version__, "seconds": time.monotonic() - start, "first_of_light": first,
+            **{name: told[name] for name in KEPT},
         }  # fmt: skip
         if first or record["verdict"] != "nothing_visible":
             write_whole(maps_path(self.folder, one.id), packed(residuals_of(found)))

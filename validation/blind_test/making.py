@@ -233,7 +233,6 @@ def _make_one(scene: Scene, one: Planned, kinds: Kinds) -> None:
     hidden = [each[0] for each in found]
     light = found[0][1] if len(found) == 1 else scene.light(hidden) if found else scene.plain
     whole = sigma_of(scene.change(light, hidden)) if found else 0.0
-    seconds = time.monotonic() - start
     raw = blind.recorded(scene.signals(_mean(light), hidden), scene.camera, hidden, one.seed)
     known_one = asked.rivals and len(found) == 1 and not one.outside
     hidings = tuple(_hiding(each, halves, scene.rivals if known_one else None) for each, _, halves in found)
@@ -245,7 +244,7 @@ def _make_one(scene: Scene, one: Planned, kinds: Kinds) -> None:
     answer = Answer(
         id=one.id, hidden=hidings, asked_sigma=asked.sigma if found else 0.0, sigma=whole,
         truth=scene.truth.document(), light=one.light, seed=asked.seed, histories=asked.histories,
-        dataset_sha256=read_dataset(temporary).sha256, seconds=seconds,
+        dataset_sha256=read_dataset(temporary).sha256, seconds=time.monotonic() - start,
     )  # fmt: skip
     seal(asked.folder, temporary, answer)
     write_sums(temporary)

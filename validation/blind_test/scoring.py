@@ -42,6 +42,7 @@ def score(folders: Sequence[Path]) -> dict[str, Any]:
             "diagnosed": _spread(one.record["seconds"] for one in sets if one.record["first_of_light"]),
             "diagnosed_again": _spread(one.record["seconds"] for one in sets if not one.record["first_of_light"]),
         },
+        "among": sorted({len(one.record["among"]) or one.record["known"] for one in sets}),
         "solvers": sorted({str(one.record["solver"]["method"]) for one in sets}),
         "versions": {"luxloop": __version__},
     }

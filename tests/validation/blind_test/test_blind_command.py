@@ -154,27 +154,28 @@ def test_a_blind_test_over_real_processes(settings: Settings, plan: Path, tmp_pa
     """Two sets are made, diagnosed by the twin, scored; a verdict that was lost is made again, and nothing else."""
     small = ("--plan", str(plan), "--pixels", str(PIXELS), "--histories", str(HISTORIES))
     made = luxloop(
-        settings, tmp_path, "blind", "make", "out", "--sets", "2", "--outside", "1", "--seed", "3", "--sigma", "20",
-        "--kinds", "clipped_pupil,tap_gain", "--no-rivals", *small, "--json",
+        settings, tmp_path, "blind", "make", "out", "--sets", "2", "--outside", "1", "--seed", "3", "--sigma", "12",
+        "--kinds", "bending_sensor,smear", "--no-rivals", *small, "--json",
     )  # fmt: skip
     assert made.returncode == 0, made.stderr
     assert json.loads(made.stdout) == {"folder": "out", "sets": 2, "too_weak": {}}
     for path in (tmp_path / "out" / ANSWERS).glob("set-*.json"):
         (hidden,) = json.loads(path.read_text())["answer"]["hidden"]
-        assert hidden["sigma"] == pytest.approx(20.0, rel=0.1)
-    judged = luxloop(settings, tmp_path, "blind", "diagnose", "out", "--twin", "--json")
+        assert hidden["sigma"] == pytest.approx(12.0, rel=0.1)
+    few = ("--twin", "--among", "vignetting,nonlinearity,ambient_gradient")
+    judged = luxloop(settings, tmp_path, "blind", "diagnose", "out", *few, "--json")
     assert judged.returncode == 0, judged.stderr
     assert json.loads(judged.stdout)["judged"] == 2
     (tmp_path / "out" / "verdicts" / "set-2.json").unlink()
     kept = (tmp_path / "out" / "verdicts" / "set-1.json").read_bytes()
-    again = luxloop(settings, tmp_path, "blind", "diagnose", "out", "--twin")
+    again = luxloop(settings, tmp_path, "blind", "diagnose", "out", *few)
     assert "1 verdicts put on record, 1 were there" in again.stdout
     assert (tmp_path / "out" / "verdicts" / "set-1.json").read_bytes() == kept
     scored = luxloop(settings, tmp_path, "blind", "score", "out", "--json", "--page", "score.html")
     assert scored.returncode == 0, scored.stderr
     document = json.loads(scored.stdout)
     assert document["sets"] == 2
-    assert sorted(one["truth"] for one in document["marks"]) == ["outside: tap_gain", "vignetting"]
+    assert sorted(one["truth"] for one in document["marks"]) == ["nonlinearity", "outside: smear"]
     assert len(document["table"]) == 15
     page = (tmp_path / "score.html").read_text(encoding="utf-8")
     assert document["sentence"] in page
