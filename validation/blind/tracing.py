@@ -51,6 +51,26 @@ def scratch() -> Scratch:
 
 
 @kernel
+def copied(ray: Real, to: Real) -> None:
+    """A ray in another's place."""
+    for number in range(RAY):
+        to[number] = ray[number]
+
+
+@kernel
+def found_in(cumulative: Real, share: float) -> int:
+    """The first place whose cumulative share is above `share`."""
+    low, high = 0, cumulative.size - 1
+    while low < high:
+        middle = (low + high) // 2
+        if cumulative[middle] > share:
+            high = middle
+        else:
+            low = middle + 1
+    return low
+
+
+@kernel
 def point(number: int, step: Real, shift: Real, found: Real) -> None:
     """The next point of the recurrence."""
     for axis in range(POINTS):
@@ -174,7 +194,7 @@ def module_change(
             event = next_exit(body, half, ray, out, key, event, True, faint)
             if event < 0:
                 break
-            keep[:] = out
+            copied(out, keep)
             outwards(full, body, chip, out)
             u, v = (at[5] + 0.6180339887498949 * exits) % 1.0, (at[6] + 0.7548776662466927 * exits) % 1.0
             u = max(u, 1e-15)
@@ -220,8 +240,8 @@ def bounce_change(
     for history in range(first, first + count):
         point(history, steps, shift, at)
         key = key_of(seed, np.uint64(history))
-        row = min(int(np.searchsorted(rows, at[0], side="right")), size - 1)
-        column = min(int(np.searchsorted(columns[row], at[1], side="right")), size - 1)
+        row = found_in(rows, at[0])
+        column = found_in(columns[row], at[1])
         before, after = rows[row - 1] if row > 0 else 0.0, rows[row]
         y = row + (at[0] - before) / max(after - before, 1e-300) - size // 2
         before, after = columns[row, column - 1] if column > 0 else 0.0, columns[row, column]
@@ -231,7 +251,7 @@ def bounce_change(
         ray[DX], ray[DY], down = cosine_law(at[2], at[3])
         ray[DZ], ray[WEIGHT] = -down, 1.0
         ray[Z] = plain.distance
-        keep[:] = ray
+        copied(ray, keep)
         _on_plate(full, ray, even)
         landed, touched = fly(full, body, ray, key, 0, at[4], at[5], more, landings)
         if even and not touched:
