@@ -24,7 +24,7 @@ SHIFT_PX, ROTATION_DEG = 0.5, 0.1
 """Standard deviations of poses."""
 MARGIN = 0.1
 """Of a range: truths keep as far from its ends."""
-SEEDS = 2**62
+SEEDS = 2**48
 SURROUNDINGS, PLAN, LIGHT, NOISE = 11, 12, 13, 14
 """What the seed is drawn for."""
 
