@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from validation.effects.known import Known
     from validation.prediction import Predictor
 
-OF_LIGHT = 4_000_000
-"""Walks inside a chip, for each sample of a truth."""
+OF_LIGHT = 8_000_000
+"""Walks inside a chip, for each sample of a truth (`validation.blind_test.making.HISTORIES`)."""
 
 Folder = Annotated[Path, typer.Argument(metavar="FOLDER", help="Folder of blind sets.")]
 Model = Annotated[str, typer.Option("--model", help="paper, clear_chip, or a model file.")]

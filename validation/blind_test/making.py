@@ -9,54 +9,31 @@ from __future__ import annotations
 
 import secrets
 import shutil
-import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from luxloop import __version__
 from luxloop.errors import InputError
 from luxloop.model import Model
 from luxloop.words import sha256_of
 from validation import blind
 from validation.blind_test.folders import ANSWERS, INDEX, SETS, Entry, Index, read_index, read_json, write_whole
+from validation.blind_test.scenes import Light, Scene, mean_of, write_images
 from validation.blind_test.seals import Answer, Hiding, seal
-from validation.blind_test.strength import LEAST_SIGMA, Halves, NotReached, Ruler, amount_for, sigma_beside, sigma_of
-from validation.blind_test.truths import (
-    Counts,
-    Kinds,
-    Planned,
-    Truth,
-    camera_of,
-    planned,
-    sample_of,
-    surroundings_of,
-    truth_of,
-)
+from validation.blind_test.strength import LEAST_SIGMA, Halves, NotReached, sigma_beside, sigma_of
+from validation.blind_test.truths import Counts, Kinds, Planned, camera_of, planned, surroundings_of, truth_of
 from validation.dataset.folder import read_dataset, write_sums
-from validation.dataset.images import write_tiff
-from validation.dataset.manifest import ImageShot, Manifest
-from validation.dataset.manifest_file import MANIFEST
-from validation.dataset.manifest_file import to_toml as manifest_text
-from validation.dataset.simulate import expected_images, views_of
 from validation.dataset.simulation_plan import Plan
 from validation.diagnose.score import Projected
-from validation.effects.known import Known, for_chips
-from validation.measured import MeasuredImage, measured_images
+from validation.effects.known import Known
 from validation.prediction import Predictor
 
-Real = NDArray[np.float64]
-Light = tuple[list[Real], list[Real]]
-"""Of all samples, by two halves of the histories."""
-
-HISTORIES = 4_000_000
-"""Of walks inside a chip, for each sample."""
+HISTORIES = 8_000_000
+"""Of walks inside a chip, for each sample: their noise is then 0.2 to 0.35 of that of a binned pixel."""
 MOST_SEED = 10**15
 WEAK, ASKED = "too-weak.json", "asked.json"
 """Beside the answers: kinds that do not show as strongly as was asked; what was asked for."""
@@ -97,94 +74,6 @@ class Asked:
 
 
 @dataclass(frozen=True, eq=False)
-class Scene:
-    """A truth before its camera: its plain light, how it is exposed, what measures changes of it."""
-
-    asked: Asked
-    truth: Truth
-    predictor: Predictor
-    known: Known
-
-    @property
-    def camera(self) -> blind.Camera:
-        """The declared one."""
-        return camera_of(self.asked.plan.camera, self.asked.pixels)
-
-    def light(self, hidden: Sequence[blind.Hidden] = ()) -> Light:
-        """Of all samples with these things hidden; what only the camera does changes no light."""
-        if hidden and all(blind.KINDS[one.kind].place == "camera" for one in hidden):
-            return self.plain
-        samples = [sample_of(one) for one in self.asked.plan.samples]
-        first, second = (
-            blind.light(
-                self.truth.surroundings, samples, self.camera, self.truth.poses, hidden,
-                seed=self.truth.seed + half, histories=-(-self.asked.histories // 2),
-            )
-            for half in (0, 1)
-        )  # fmt: skip
-        return first, second
-
-    @cached_property
-    def plain(self) -> Light:
-        """With nothing hidden."""
-        return self.light()
-
-    @cached_property
-    def exposure(self) -> tuple[list[float], float]:
-        """Exposures in ms and DN per ms at 1/mm^2, by which the plain images peak at a share of full scale."""
-        asked = self.asked
-        views = views_of(asked.plan, 0, asked.pixels, asked.pixels)
-        mean = _mean(self.plain)
-        expected = expected_images(views, mean, asked.plan.camera)
-        lit = expected[0]
-        dn_per_ms = float(lit.signal_dn.max() / lit.irradiance_per_mm2.max()) / lit.exposure_ms
-        return [one.exposure_ms for one in expected], dn_per_ms
-
-    def signals(self, light: Sequence[Real], hidden: Sequence[blind.Hidden] = ()) -> list[Real]:
-        """Expected signals (row, column) in DN above black."""
-        exposures, dn_per_ms = self.exposure
-        return blind.signals(light, exposures, dn_per_ms, self.camera, hidden)
-
-    @cached_property
-    def ruler(self) -> Ruler:
-        """A perfect fit of the plain images."""
-        with tempfile.TemporaryDirectory() as folder:
-            raw = [image + self.camera.black_level_dn for image in self.signals(_mean(self.plain))]
-            write_images(Path(folder), self.asked.plan, "plain", raw, self.exposure[0], np.float32)
-            images: list[MeasuredImage] = measured_images(read_dataset(Path(folder)))
-        return Ruler.at(self.truth, images, self.predictor)
-
-    @cached_property
-    def rivals(self) -> Projected:
-        """The columns of all effects that these samples can have."""
-        chips = max(one.rows * one.columns for one in self.asked.plan.samples)
-        specs = [for_chips(one, chips) for one in self.known.specs if not one.name.startswith("film_")]
-        return self.ruler.rivals(self.predictor, self.known, specs)
-
-    def change(self, light: Light, hidden: Sequence[blind.Hidden]) -> Halves:
-        """What these hidden things change, by each half of the light."""
-        first, second = (
-            self.ruler.left(
-                [one - other for one, other in zip(self.signals(there, hidden), self.signals(here), strict=True)]
-            )
-            for there, here in zip(light, self.plain, strict=True)
-        )
-        return first, second
-
-    def hide(self, name: str, seed: int) -> tuple[blind.Hidden, Light, Halves]:
-        """A thing of a kind at the asked strength, the light with it, what it changes. Raises NotReached."""
-        tried: dict[float, tuple[blind.Hidden, Light, Halves]] = {}
-
-        def measure(amount: float) -> float:
-            hidden = blind.Hidden(name, amount, seed)
-            light = self.light([hidden])
-            tried[amount] = hidden, light, self.change(light, [hidden])
-            return sigma_of(tried[amount][2])
-
-        return tried[amount_for(blind.KINDS[name], self.asked.sigma, measure)]
-
-
-@dataclass(frozen=True, eq=False)
 class Begun:
     """A folder that sets are put into, and what they are."""
 
@@ -219,21 +108,21 @@ def make(
         if scene is None or scene.truth.number != one.truth:
             heard(number, len(plan), f"the light of truth {one.truth + 1}")
             truth = truth_of(one.truth, asked.model, len(asked.plan.samples), asked.seed)
-            scene = Scene(asked, truth, predictor, known)
+            scene = Scene(truth, asked.plan, asked.pixels, asked.histories, asked.sigma, predictor, known)
         heard(number, len(plan), one.id)
-        _make_one(scene, one, kinds)
+        _make_one(asked, scene, one, kinds)
     heard(len(plan), len(plan), "done")
 
 
-def _make_one(scene: Scene, one: Planned, kinds: Kinds) -> None:
-    asked, start = scene.asked, time.monotonic()
+def _make_one(asked: Asked, scene: Scene, one: Planned, kinds: Kinds) -> None:
+    start = time.monotonic()
     found: list[tuple[blind.Hidden, Light, Halves]] = []
     for _ in range(one.count):
-        found.append(_hidden(scene, one, kinds, [each[0].kind for each in found]))
+        found.append(_hidden(asked, scene, one, kinds, [each[0].kind for each in found]))
     hidden = [each[0] for each in found]
-    light = found[0][1] if len(found) == 1 else scene.light(hidden) if found else scene.plain
-    whole = sigma_of(scene.change(light, hidden)) if found else 0.0
-    raw = blind.recorded(scene.signals(_mean(light), hidden), scene.camera, hidden, one.seed)
+    light = found[0][1] if len(found) == 1 else scene.lights.of(hidden) if found else scene.lights.plain
+    whole = sigma_of(scene.change(scene.lights, light, hidden)) if found else 0.0
+    raw = blind.recorded(scene.signals(mean_of(light), hidden), scene.camera, hidden, one.seed)
     known_one = asked.rivals and len(found) == 1 and not one.outside
     hidings = tuple(_hiding(each, halves, scene.rivals if known_one else None) for each, _, halves in found)
     for each in hidden:
@@ -251,19 +140,21 @@ def _make_one(scene: Scene, one: Planned, kinds: Kinds) -> None:
     temporary.rename(asked.folder / SETS / one.id)
 
 
-def _hidden(scene: Scene, one: Planned, kinds: Kinds, beside: Sequence[str]) -> tuple[blind.Hidden, Light, Halves]:
+def _hidden(
+    asked: Asked, scene: Scene, one: Planned, kinds: Kinds, beside: Sequence[str]
+) -> tuple[blind.Hidden, Light, Halves]:
     """The next kind that shows as strongly as was asked."""
-    weak = weak_kinds(scene.asked.folder)
+    weak = weak_kinds(asked.folder)
     while (name := kinds.next(one.outside, beside)) is not None:
         try:
             return scene.hide(name, one.seed + len(beside))
         except NotReached as reason:
             kinds.drop(name)
             weak[name] = reason.sigma
-            write_whole(scene.asked.folder / ANSWERS / WEAK, weak)
+            write_whole(asked.folder / ANSWERS / WEAK, weak)
     reached = ", ".join(f"{name} {sigma:.1f}" for name, sigma in weak.items())
     mend = f"at their most, and as far as amounts were found, kinds show by (sigma): {reached or 'none is left'}"
-    raise InputError("--sigma", scene.asked.sigma, "a strength that the declared camera can see", mend)
+    raise InputError("--sigma", asked.sigma, "a strength that the declared camera can see", mend)
 
 
 def _hiding(hidden: blind.Hidden, halves: Halves, rivals: Projected | None) -> Hiding:
@@ -273,27 +164,6 @@ def _hiding(hidden: blind.Hidden, halves: Halves, rivals: Projected | None) -> H
         kind=kind.name, place=kind.place, amount=hidden.amount, unit=kind.unit, seed=hidden.seed, right=kind.right,
         sigma=sigma_of(halves), rivals={name: left for name, left in beside.items() if name not in kind.right},
     )  # fmt: skip
-
-
-def write_images(
-    folder: Path, plan: Plan, name: str, raw: Sequence[NDArray[Any]], exposures_ms: Sequence[float], kind: type
-) -> None:
-    """An ordinary data set: an image of each sample, manifest, hashes."""
-    shots = []
-    for sample, image, exposure in zip(plan.samples, raw, exposures_ms, strict=True):
-        file = f"images/{sample.id}.tif"
-        write_tiff(folder / file, image.astype(kind))
-        shots.append(ImageShot(id=sample.id, kind="image", sample=sample.id, file=file, exposure_ms=exposure))
-    manifest = Manifest(
-        name=f"blind {name}", licence=plan.licence, camera=plan.camera, samples=plan.samples, shots=tuple(shots),
-        notes=f"Made by luxloop {__version__} blind make. Something may be hidden in it.",
-    )  # fmt: skip
-    (folder / MANIFEST).write_text(manifest_text(manifest), encoding="utf-8")
-    write_sums(folder)
-
-
-def _mean(light: Light) -> list[Real]:
-    return [(one + other) / 2.0 for one, other in zip(*light, strict=True)]
 
 
 def seed_of(folder: Path, seed: int | None) -> int:

@@ -19,7 +19,7 @@ from validation.blind_test.marks import Marked
 
 LEVEL = 0.95
 RESAMPLED = 10_000
-AT = 0.1
+AT = 0.15
 """Share by which a strength may miss the one that a row is of."""
 MOST_SECONDS = 60.0
 
