@@ -31,7 +31,7 @@ class Body(NamedTuple):
     """A chip: what it is made of and how it shines; the side comes with each chip."""
 
     thickness: float
-    index: float
+    n: float
     beside: float
     """Index that the side faces meet."""
     loss: float
@@ -84,7 +84,7 @@ def next_exit(
     split: the light is divided at faces, what stays inside stays in `ray`; else it goes either way by chance.
     faint: weight below which it goes on by chance.
     """
-    top, index = body.thickness, body.index
+    top, index = body.thickness, body.n
     for _ in range(MOST_FACES):
         weight = ray[WEIGHT]
         if weight < faint or weight <= 0.0:
@@ -137,7 +137,7 @@ def _bottom(body: Body, ray: Real, key: np.uint64, event: int) -> None:
 @kernel
 def _top(body: Body, ray: Real, out: Real, key: np.uint64, event: int, split: bool) -> bool:
     """Whether there is light outside; it then is in `out`."""
-    cosine, index = ray[DZ], body.index
+    cosine, index = ray[DZ], body.n
     square = 1.0 - index * index * (1.0 - cosine * cosine)
     if square <= 0.0:
         ray[WEIGHT] *= table_at(body.beyond, sqrt(min(1.0, -square / (index * index - 1.0))))
@@ -208,13 +208,13 @@ def _rippled_side(body: Body, ray: Real, out: Real, key: np.uint64, event: int, 
         cosine = dn * mn + dt * mt
         if cosine <= 0.0:
             mn, mt, cosine = 1.0, 0.0, dn
-        R, onward = fresnel(cosine, body.beside / body.index)
+        R, onward = fresnel(cosine, body.beside / body.n)
         if uniform(key, event + facet, 5) < R:
             dn, dt = dn - 2.0 * cosine * mn, dt - 2.0 * cosine * mt
             if dn < 0.0:
                 break
             continue
-        scale = body.index / body.beside
+        scale = body.n / body.beside
         un = scale * (dn - cosine * mn) + onward * mn
         if un <= 0.0:
             continue
@@ -230,12 +230,12 @@ def _rippled_side(body: Body, ray: Real, out: Real, key: np.uint64, event: int, 
 
 
 @kernel
-def enters(body: Body, half: float, ray: Real, face: int, key: np.uint64, event: int) -> bool:
+def enters(body: Body, ray: Real, face: int, key: np.uint64, event: int) -> bool:
     """Whether a ray that meets a chip from outside goes into it; else it is reflected, or absorbed by the film.
 
     face: 0 along x, 1 along y, 2 from above. A rippled face is met as an even one.
     """
-    cosine, index = abs(ray[DX + face]), body.index
+    cosine, index = abs(ray[DX + face]), body.n
     u = uniform(key, event, 6)
     if face == 2:
         R, T = table_at(body.outside, cosine), table_at(body.passed, cosine)

@@ -1,4 +1,4 @@
-"""The one import of numba in the blind test's forward model: how its kernels are compiled, and where they are kept."""
+"""The one import of numba in the blind test's forward model: how kernels are compiled, where they are kept."""
 
 from __future__ import annotations
 

@@ -2,7 +2,7 @@
 
     [B, C] = M_1 M_2 ... M_n [1, y_air],  M = [[cos d, i sin d / y], [i y sin d, cos d]],  r = (y_0 B - C)/(y_0 B + C)
 
-with tilted admittances y = N cos(theta) for s, N / cos(theta) for p, N = n - i k (Macleod, Thin-Film Optical Filters).
+with tilted admittances y = N cos(theta) for s, N / cos(theta) for p, N = n - i k (Macleod, Thin-Film Filters).
 """
 
 from __future__ import annotations
@@ -64,9 +64,7 @@ def _mean(powers: tuple[Real, Real], weight: Real) -> tuple[Real, Real]:
     return R, T
 
 
-def _powers(
-    layers: Sequence[Layer], n_in: float, n_out: float, u: Real, wavelength_nm: Real
-) -> tuple[Real, Real]:
+def _powers(layers: Sequence[Layer], n_in: float, n_out: float, u: Real, wavelength_nm: Real) -> tuple[Real, Real]:
     """R and T, each (s and p, wavelength, u), u = k_parallel / k_0."""
     first, last = (_cosine(np.full(wavelength_nm.size, n, np.complex128), u) for n in (n_in, n_out))
     R, T = np.empty((2, 2, wavelength_nm.size, u.size))

@@ -87,7 +87,7 @@ def receiver_height(ground: Ground, x: float, y: float) -> float:
 @kernel
 def _to_receiver(ground: Ground, ray: Real) -> float:
     """The path of a ray that goes up to the receiver; a bent one is met after a few steps."""
-    path = (ground.distance - ray[Z]) / ray[DZ]
+    path: float = (ground.distance - ray[Z]) / ray[DZ]
     if ground.tilt_x == 0.0 and ground.tilt_y == 0.0 and ground.bow == 0.0 and ground.saddle == 0.0:
         return max(0.0, path)
     for _ in range(12):
@@ -275,7 +275,7 @@ def _at_chip(
     else:
         ray[X + face] = -half if ray[DX + face] > 0.0 else half
         ray[X + 1 - face] = min(max(ray[X + 1 - face], -half), half)
-    if enters(body, half, ray, face, key, event):
+    if enters(body, ray, face, key, event):
         event = next_exit(body, half, ray, out, key, event, False, FAINT * ray[WEIGHT])
         if event < 0:
             return -1

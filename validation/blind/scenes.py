@@ -76,25 +76,37 @@ def _drawn(hidden: Hidden, sample: Sample) -> np.random.Generator:
     return np.random.default_rng((hidden.seed, 17, zlib.crc32(sample.id.encode())))
 
 
+def _amount(there: There, kind: str) -> float:
+    """Of a kind whose off value is 0."""
+    return there[kind].amount if kind in there else 0.0
+
+
 def body_of(surroundings: Surroundings, sample: Sample, there: There, x_um: float = 0.0) -> Body:
     """A chip of a sample whose centre is at x, which matters where films differ."""
-    amount = lambda name: there[name].amount if name in there else 0.0  # noqa: E731
     film = film_of(surroundings, sample.dbr_pairs, there, x_um)
-    low, high = _layer(surroundings.active_layer_depth, amount("thick_active_layer"))
-    loss, rise = surroundings.chip_absorption_per_cm * PER_UM, 2.0 * amount("graded_loss") * PER_UM
-    corner = np.random.default_rng((there["round_pad"].seed, 19)).integers(0, 2, 2) if "round_pad" in there else (0, 0)
-    lean, ripple, dipoles = math.radians(amount("tilted_chips")), amount("etched_stripes"), amount("standing_dipoles")
+    low, high = _layer(surroundings.active_layer_depth, _amount(there, "thick_active_layer"))
+    loss, rise = surroundings.chip_absorption_per_cm * PER_UM, 2.0 * _amount(there, "graded_loss") * PER_UM
+    corner = (
+        np.random.default_rng((there["round_pad"].seed, 19)).integers(0, 2, 2) if "round_pad" in there else (0, 0)
+    )
+    lean, ripple, dipoles = (
+        math.radians(_amount(there, "tilted_chips")),
+        _amount(there, "etched_stripes"),
+        _amount(there, "standing_dipoles"),
+    )
     mirrored = surroundings.chip_bottom == "mirror"
     return Body(
-        thickness=sample.thickness_um, index=surroundings.n_gan, beside=1.0 + amount("resin_fillet"),
+        thickness=sample.thickness_um, n=surroundings.n_gan, beside=1.0 + _amount(there, "resin_fillet"),
         loss=loss, rise=rise, mirrored=mirrored, reflectance=surroundings.substrate_reflectance,
-        sigma=math.radians(surroundings.substrate_sigma_deg), second_share=amount("second_lobe"),
-        second_sigma=math.radians(SECOND_LOBE_DEG), ripple=ripple, metal=amount("metal_side"),
+        sigma=math.radians(surroundings.substrate_sigma_deg), second_share=_amount(there, "second_lobe"),
+        second_sigma=math.radians(SECOND_LOBE_DEG), ripple=ripple, metal=_amount(there, "metal_side"),
         low=low * sample.thickness_um, high=high * sample.thickness_um,
-        dipoles=dipoles, dipoles_mean=_dipoles_mean(dipoles), crowding=amount("current_tail"),
-        pad=2.0 * math.sqrt(amount("round_pad") / math.pi), pad_x=2.0 * corner[0] - 1.0, pad_y=2.0 * corner[1] - 1.0,
+        dipoles=dipoles, dipoles_mean=_dipoles_mean(dipoles), crowding=_amount(there, "current_tail"),
+        pad=2.0 * math.sqrt(_amount(there, "round_pad") / math.pi),
+        pad_x=2.0 * corner[0] - 1.0, pad_y=2.0 * corner[1] - 1.0,
         sphere=not mirrored or ripple > 0.0, lean_cos=math.cos(lean), lean_sin=math.sin(lean),
-        rim=amount("glowing_rim"), inside=film.inside, passed=film.passed, beyond=film.beyond, outside=film.outside,
+        rim=_amount(there, "glowing_rim"),
+        inside=film.inside, passed=film.passed, beyond=film.beyond, outside=film.outside,
     )  # fmt: skip
 
 
@@ -113,23 +125,23 @@ def _dipoles_mean(a: float) -> float:
 
 def ground_of(surroundings: Surroundings, sample: Sample, layout: Layout, there: There) -> Ground:
     """A module with all that is hidden in it."""
-    amount = lambda name: there[name].amount if name in there else 0.0  # noqa: E731
     direction = 0.0
     if "wedged_spacer" in there:
         direction = 2.0 * math.pi * _drawn(there["wedged_spacer"], sample).random()
-    turn = math.radians(amount("turned_chips"))
+    turn = math.radians(_amount(there, "turned_chips"))
     return Ground(
-        distance=sample.distance_um + amount("wrong_spacer"),
-        tilt_x=1e-3 * amount("wedged_spacer") * math.cos(direction),
-        tilt_y=1e-3 * amount("wedged_spacer") * math.sin(direction),
-        bow=amount("bowed_receiver"), saddle=amount("saddle_substrate"),
+        distance=sample.distance_um + _amount(there, "wrong_spacer"),
+        tilt_x=1e-3 * _amount(there, "wedged_spacer") * math.cos(direction),
+        tilt_y=1e-3 * _amount(there, "wedged_spacer") * math.sin(direction),
+        bow=_amount(there, "bowed_receiver"), saddle=_amount(there, "saddle_substrate"),
         reflectance=surroundings.substrate_reflectance, sigma=math.radians(surroundings.substrate_sigma_deg),
-        second_share=amount("second_lobe"), second_sigma=math.radians(SECOND_LOBE_DEG),
-        joints=amount("dark_joints"), ring=amount("flux_ring"), slope=amount("substrate_slope"),
-        rim=amount("substrate_rim"), leak_share=amount("substrate_diffusion"), leak=DIFFUSION_UM,
-        half=sample.module_half_um, frame=amount("diffuse_frame"),
-        pane=amount("one_sided_bezel"), pane_x=PANE_UM,
-        gloss=amount("glossy_receiver"), most_gloss=max(surroundings.receiver_reflectance, 1e-9),
+        second_share=_amount(there, "second_lobe"), second_sigma=math.radians(SECOND_LOBE_DEG),
+        joints=_amount(there, "dark_joints"), ring=_amount(there, "flux_ring"),
+        slope=_amount(there, "substrate_slope"),
+        rim=_amount(there, "substrate_rim"), leak_share=_amount(there, "substrate_diffusion"), leak=DIFFUSION_UM,
+        half=sample.module_half_um, frame=_amount(there, "diffuse_frame"),
+        pane=_amount(there, "one_sided_bezel"), pane_x=PANE_UM,
+        gloss=_amount(there, "glossy_receiver"), most_gloss=max(surroundings.receiver_reflectance, 1e-9),
         pitch=sample.spacing_um, turn_cos=math.cos(turn), turn_sin=math.sin(turn), rows=sample.rows,
         columns=sample.columns, centres=layout.centres_um, halves=layout.halves_um,
     )  # fmt: skip

@@ -74,11 +74,11 @@ def _stray_daylight(signal: Real, camera: Camera, hidden: Hidden, _: int) -> Rea
     y, x = np.linspace(-1.0, 1.0, camera.rows), np.linspace(-1.0, 1.0, camera.columns)
     angle = 2.0 * np.pi * drawn(hidden).random()
     along = np.add.outer(np.sin(angle) * y, np.cos(angle) * x) / (abs(np.sin(angle)) + abs(np.cos(angle)))
-    return signal + camera.room_dn * hidden.amount * (1.0 + np.sin(np.pi / 2.0 * along))
+    return np.asarray(signal + camera.room_dn * hidden.amount * (1.0 + np.sin(np.pi / 2.0 * along)))
 
 
 def _smear(signal: Real, _: Camera, hidden: Hidden, __: int) -> Real:
-    return signal + hidden.amount * signal.mean(axis=0)
+    return np.asarray(signal + hidden.amount * signal.mean(axis=0))
 
 
 def _one_way_crosstalk(signal: Real, _: Camera, hidden: Hidden, __: int) -> Real:
@@ -98,16 +98,16 @@ def _interlace(signal: Real, _: Camera, hidden: Hidden, __: int) -> Real:
 
 
 def _tap_gain(signal: Real, camera: Camera, hidden: Hidden, _: int) -> Real:
-    return signal * np.where(np.arange(camera.columns) < camera.columns // 2, 1.0, 1.0 + hidden.amount)
+    return np.asarray(signal * np.where(np.arange(camera.columns) < camera.columns // 2, 1.0, 1.0 + hidden.amount))
 
 
 def _column_gains(signal: Real, camera: Camera, hidden: Hidden, _: int) -> Real:
-    return signal * (1.0 + hidden.amount * drawn(hidden).standard_normal(camera.columns))
+    return np.asarray(signal * (1.0 + hidden.amount * drawn(hidden).standard_normal(camera.columns)))
 
 
 def _flicker(signal: Real, camera: Camera, hidden: Hidden, number: int) -> Real:
     phase = 2.0 * np.pi * (np.arange(camera.rows) / FLICKER_ROWS + drawn(hidden, number).random())
-    return signal * (1.0 + hidden.amount * np.sin(phase))[:, None]
+    return np.asarray(signal * (1.0 + hidden.amount * np.sin(phase))[:, None])
 
 
 def _bending_sensor(signal: Real, camera: Camera, hidden: Hidden, _: int) -> Real:
@@ -117,15 +117,15 @@ def _bending_sensor(signal: Real, camera: Camera, hidden: Hidden, _: int) -> Rea
 
 def _full_wells(signal: Real, camera: Camera, hidden: Hidden, _: int) -> Real:
     share = np.maximum(signal, 0.0) / camera.room_dn
-    return signal * (1.0 + hidden.amount * share**WELL) ** (-1.0 / WELL)
+    return np.asarray(signal * (1.0 + hidden.amount * share**WELL) ** (-1.0 / WELL))
 
 
 def _adc_ripple(signal: Real, camera: Camera, hidden: Hidden, _: int) -> Real:
-    return signal + hidden.amount * np.sin(2.0 * np.pi * RIPPLES * signal / camera.room_dn)
+    return np.asarray(signal + hidden.amount * np.sin(2.0 * np.pi * RIPPLES * signal / camera.room_dn))
 
 
 def _row_banding(signal: Real, camera: Camera, hidden: Hidden, number: int) -> Real:
-    return signal + hidden.amount * drawn(hidden, number).standard_normal((camera.rows, 1))
+    return np.asarray(signal + hidden.amount * drawn(hidden, number).standard_normal((camera.rows, 1)))
 
 
 def _hot_columns(signal: Real, camera: Camera, hidden: Hidden, _: int) -> Real:
@@ -135,7 +135,7 @@ def _hot_columns(signal: Real, camera: Camera, hidden: Hidden, _: int) -> Real:
 
 
 def _black_sag(signal: Real, _: Camera, hidden: Hidden, __: int) -> Real:
-    return signal - hidden.amount * signal.mean(axis=1, keepdims=True)
+    return np.asarray(signal - hidden.amount * signal.mean(axis=1, keepdims=True))
 
 
 STEPS: dict[str, Step] = {

@@ -1,12 +1,13 @@
 """The layers of a chip's mirror, with what is hidden in them.
 
-    chip  GaN AlN GaN AlN ... air      each half pair a layer; the first is the layer order's
+chip  GaN AlN GaN AlN ... air      each half pair a layer; the first is the layer order's
 """
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from scipy.special import ndtr
@@ -25,9 +26,7 @@ SLICE_NM = 2.5
 WEDGE_UM = 1500.0
 
 
-def film_of(
-    surroundings: Surroundings, pairs: float, there: Mapping[str, Hidden], x_um: float = 0.0
-) -> Film:
+def film_of(surroundings: Surroundings, pairs: float, there: Mapping[str, Hidden], x_um: float = 0.0) -> Film:
     """The film of a chip whose centre is at x, with what is hidden in it."""
     wavelength_nm, weight = _line(surroundings)
     layers = _layers(surroundings, pairs, there, wavelength_nm, x_um)
@@ -85,9 +84,12 @@ def _index(
 def _thinned(n: Real, change: float) -> Real:
     """Lorentz and Lorenz: (n^2 - 1)/(n^2 + 2) goes with the density, here such that the mean index changes so."""
     mean = float(n.mean())
-    polarised = lambda one: (one**2 - 1.0) / (one**2 + 2.0)  # noqa: E731
-    share = polarised(n) * (polarised(mean + change) / polarised(mean))
+    share = _polarised(n) * (_polarised(mean + change) / _polarised(mean))
     return np.asarray(np.sqrt((1.0 + 2.0 * share) / (1.0 - share)))
+
+
+def _polarised(n: Any) -> Any:
+    return (n**2 - 1.0) / (n**2 + 2.0)
 
 
 def _mixed(layers: list[Layer], index: float, sd_nm: float) -> list[Layer]:

@@ -1,7 +1,7 @@
 """Whole histories, laid into maps: a lone chip's light, what its module changes, one bounce; as kernels.
 
-The first random numbers of a history are points of an additive recurrence (Roberts' generalised golden ratio), shifted
-by the seed: they fill the cube evenly. All later ones are keyed by history and event. What a module changes is the
+The first random numbers of a history are points of an additive recurrence (Roberts' golden ratio), shifted by
+the seed: they fill the cube evenly. All later ones are keyed by history and event. What a module changes is the
 difference between two histories with the same numbers, one in the module and one above an endless even substrate.
 """
 
@@ -47,7 +47,8 @@ class Scratch(NamedTuple):
 
 def scratch() -> Scratch:
     """Of one caller."""
-    return Scratch(*np.zeros((4, RAY)), np.zeros(POINTS), np.zeros((LANDINGS, LANDING)))
+    ray, out, other, inside = np.zeros((4, RAY))
+    return Scratch(ray, out, other, inside, np.zeros(POINTS), np.zeros((LANDINGS, LANDING)))
 
 
 @kernel
@@ -86,8 +87,8 @@ def tally(
     """Add landings, moved by (x, y), to maps (plane, y, x): 0 what is recorded, 1 what Lambert's law sends back."""
     size = light.shape[1]
     for number in range(count):
-        column = int(floor((landings[number, LAND_X] + x) / step)) + size // 2
-        row = int(floor((landings[number, LAND_Y] + y) / step)) + size // 2
+        column = floor((landings[number, LAND_X] + x) / step) + size // 2
+        row = floor((landings[number, LAND_Y] + y) / step) + size // 2
         if not (0 <= column < size and 0 <= row < size):
             continue
         arrived, cosine = weight * landings[number, LAND_WEIGHT], landings[number, LAND_COSINE]
@@ -106,7 +107,7 @@ def born(body: Body, half: float, at: Real, ray: Real) -> None:
     else:
         axis = min(int(at[0] * 6.0), 5)
         beside = 1.0 if axis >= 4 else body.beside
-        solid = 1.0 - sqrt(1.0 - (beside / body.index) ** 2)
+        solid = 1.0 - sqrt(1.0 - (beside / body.n) ** 2)
         along, weight = 1.0 - solid * (at[0] * 6.0 - axis), 3.0 * solid
     across, phi = sqrt(max(0.0, 1.0 - along * along)), 2.0 * pi * at[1]
     if axis % 2 and not body.sphere:
@@ -122,7 +123,18 @@ def born(body: Body, half: float, at: Real, ray: Real) -> None:
         near = (0.5 - x * body.pad_x) ** 2 + (0.5 - y * body.pad_y) ** 2 < body.pad * body.pad
         weight *= 0.0 if near else 1.0 / (1.0 - 0.25 * pi * body.pad * body.pad)
     ray[X], ray[Y], ray[Z] = 2.0 * half * x, 2.0 * half * y, body.low + (body.high - body.low) * at[4]
+    if body.sphere and _trapped(body, ray):
+        weight = 0.0
     ray[WEIGHT] = weight
+
+
+@kernel
+def _trapped(body: Body, ray: Real) -> bool:
+    """Whether a direction never leaves a chip whose faces only mirror it."""
+    if body.ripple > 0.0 or not (body.mirrored or (body.sigma == 0.0 and body.second_share == 0.0)):
+        return False
+    of_top, of_sides = sqrt(1.0 - 1.0 / body.n**2), sqrt(1.0 - (body.beside / body.n) ** 2)
+    return abs(ray[DZ]) < of_top and abs(ray[DX]) < of_sides and abs(ray[DY]) < of_sides
 
 
 @kernel

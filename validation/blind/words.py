@@ -184,9 +184,10 @@ class Kind:
     """One sentence: what it is, with its source."""
 
 
-def within(name: str, value: float, least: float, most: float) -> None:
+def within(name: str, value: object, least: float, most: float) -> None:
     """ValueError with name, value and range for what is no finite number from `least` to `most`."""
-    if isinstance(value, bool) or not isinstance(value, int | float | np.number) or not least <= value <= most:
+    numeric = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
+    if not (numeric and least <= float(value) <= most):  # type: ignore[arg-type]
         raise ValueError(f"{name} = {value!r}: a number from {least:g} to {most:g} is needed")
 
 
