@@ -22,7 +22,7 @@ from validation.effects.confounding import TOLD_APART
 NAMING = ("one_effect", "cannot_tell_apart")
 SAME_SIZE: dict[str, tuple[str, str]] = {
     "wrong_spacer": ("distance_error", "distance_um"),
-    "wrong_scale": ("magnification", "scale"),
+    "wrong_scale": ("magnification", "scale_error"),
 }
 """Kinds whose amount is a parameter of the catalogue's effect, of one meaning and unit: there the form is right."""
 
