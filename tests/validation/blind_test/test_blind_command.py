@@ -155,7 +155,7 @@ def test_a_blind_test_over_real_processes(settings: Settings, plan: Path, tmp_pa
     small = ("--plan", str(plan), "--pixels", str(PIXELS), "--histories", str(HISTORIES))
     made = luxloop(
         settings, tmp_path, "blind", "make", "out", "--sets", "2", "--outside", "1", "--seed", "3", "--sigma", "12",
-        "--kinds", "bending_sensor,smear", "--no-rivals", *small, "--json",
+        "--kinds", "stray_daylight,smear", "--no-rivals", *small, "--json",
     )  # fmt: skip
     assert made.returncode == 0, made.stderr
     assert json.loads(made.stdout) == {"folder": "out", "sets": 2, "too_weak": {}}
@@ -175,7 +175,7 @@ def test_a_blind_test_over_real_processes(settings: Settings, plan: Path, tmp_pa
     assert scored.returncode == 0, scored.stderr
     document = json.loads(scored.stdout)
     assert document["sets"] == 2
-    assert sorted(one["truth"] for one in document["marks"]) == ["nonlinearity", "outside: smear"]
+    assert sorted(one["truth"] for one in document["marks"]) == ["ambient_gradient", "outside: smear"]
     assert len(document["table"]) == 15
     page = (tmp_path / "score.html").read_text(encoding="utf-8")
     assert document["sentence"] in page
