@@ -22,6 +22,7 @@ from validation.diagnose.frozen import FrozenCurves, FrozenImages, Slopes, froze
 from validation.effects.known import CHIP, applied, off_values, with_effect
 from validation.fit import Fit, prior_chi2, refitted, unknowns_of
 from validation.fit.image_fit import ANCHOR_MOVE, MAX_ANCHORS
+from validation.fit.parameters import pose_of
 from validation.fit.problem import CurvePredictor, ImagePredictor, Problem
 from validation.fit.start import start_values
 from validation.prediction import Anchored
@@ -145,7 +146,7 @@ def freed(base: Fit, score: Score, slopes: Slopes) -> Refitted:
 
 
 def switched(base: Fit, candidate: Candidate) -> Refitted:
-    """The effect is there, with the word of its shape; derivatives are its own, for it is no small change.
+    """The effect is there, with the word of its shape; derivatives are of where it begins: it is no small change.
 
     Begun where the fit without it ended, or, where that went far to make up for it, where it began: from what fits
     better.
@@ -161,7 +162,8 @@ def switched(base: Fit, candidate: Candidate) -> Refitted:
     starts = [(_lending(problem), near), (_lending(begun), anew)]
     residuals = [one.evaluate(values).residual(base.whitening) for one, values in starts]
     better = int(np.argmin([residual @ residual for residual in residuals]))
-    found = refitted(*starts[better], STEPS)
+    problem, values = starts[better]
+    found = refitted(frozen_at(about_its_light(problem, values), values), values, STEPS)
     return Refitted(candidate, 1.0, 0.0, found.residual, _chi2(found), False, found.model, found)
 
 
@@ -212,9 +214,7 @@ def finished(found: Refitted, predictor: ImagePredictor, curves: CurvePredictor 
         return found
     if not spec.twin:
         return _at_its_value(found, fit, predictor)
-    problem = _about_its_light(replace(fit.problem, predictor=predictor, predict_curves=curves), fit)
-    if found.candidate.is_switch and problem.anchor == fit.problem.anchor and fit.converged:
-        return found  # its derivatives are its own
+    problem = about_its_light(replace(fit.problem, predictor=predictor, predict_curves=curves), fit.values)
     own, as_well = _best_words(found, problem, fit.values)
     lengths = [one for one in spec.parameters if one.off is None and not one.choices and one.name != CHIP]
     shapes = [one for one in lengths if one.shape_grid]
@@ -229,16 +229,17 @@ def finished(found: Refitted, predictor: ImagePredictor, curves: CurvePredictor 
     return replace(_with(found, own), as_well=as_well)
 
 
-def _about_its_light(problem: Problem, fit: Fit) -> Problem:
-    """The problem about Monte Carlo at the fit's own model, where that has another light than the anchor's has.
+def about_its_light(problem: Problem, values: Real) -> Problem:
+    """The problem about Monte Carlo at these values, where they have another light than the anchor has.
 
     What the twin errs by, and the noise of Monte Carlo, is carried over as it is from the anchor, but it goes with
     the light: of a chip that absorbs nothing it is several times too large for one that absorbs 200 /cm.
     """
-    anchor, known = problem.anchor, problem.unknowns.named(fit.values)
+    anchor, known = problem.anchor, problem.unknowns.named(values)
     if anchor is None or not anchor.histories:
         return problem
-    models, alone = (fit.model, anchor.model), replace(anchor, histories=0)
+    model, alone = problem.unknowns.model(problem.model, values), replace(anchor, histories=0)
+    models = (model, anchor.model)
     here, there = (problem.predictor.images(one, problem.views(one, known), (), alone) for one in models)
     changes = [
         float(one.irradiance_per_mm2.sum() / other.irradiance_per_mm2.sum()) - 1.0
@@ -246,7 +247,8 @@ def _about_its_light(problem: Problem, fit: Fit) -> Problem:
     ]
     if max(map(abs, changes), default=0.0) <= OTHER_LIGHT:
         return problem
-    return replace(problem, anchor=replace(anchor, model=fit.model, poses=tuple(fit.poses.values())))
+    poses = tuple(pose_of(image, known) for image in problem.images)
+    return replace(problem, anchor=replace(anchor, model=model, poses=poses))
 
 
 def _best_words(found: Refitted, problem: Problem, values: Real) -> tuple[Fit, tuple[Words, ...]]:
