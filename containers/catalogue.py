@@ -98,7 +98,7 @@ class Catalogue:
         file = f"{applied.name}.py"
         if own is not None:
             allowed = f"the source with SHA-256 {own.source_sha256}"
-            mend = "give all workers the same file and the model its hash: luxloop effects check"
+            mend = f"give all workers the same file and the model its hash: luxloop effects check {applied.name}"
         elif file in self.refused:
             allowed, mend = "a source that can be used", self.refused[file]
         else:

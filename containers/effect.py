@@ -30,7 +30,7 @@ from luxloop.camera import Camera
 from luxloop.effect import EffectParameter, EffectSpec, Scope, Stage
 from luxloop.errors import InputError
 from luxloop.stack import Stack
-from luxloop.words import Words
+from luxloop.words import Words, parse
 
 Real = NDArray[np.float64]
 MARK = "effect"
@@ -117,7 +117,8 @@ class Effect(Words):
         extra = field.json_schema_extra
         if not isinstance(extra, dict) or not isinstance(told := extra.get(MARK), dict):
             raise InputError(f"{cls.__name__}.{name}", "a plain field", "a parameter", "parameter('...', unit=...)")
-        return EffectParameter(name=name, description=field.description or "", **told)
+        said = {"name": name, "description": field.description or ""}
+        return parse(EffectParameter, said | told, f"{cls.__name__}.{name}")
 
     @classmethod
     def at_off(cls, **shape: Any) -> Self:

@@ -14,13 +14,12 @@ from pydantic import Field, field_validator, model_validator
 
 from luxloop.errors import InputError
 from luxloop.units import unit_of
-from luxloop.words import Words
+from luxloop.words import Sha256, Words
 
 Stage = Literal["stack", "surface", "emission", "volume", "geometry", "detector", "module"]
 Scope = Literal["global", "per_camera", "per_sample"]
 Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,63}$")]
 Number = Annotated[float, Field(strict=True)]
-Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 Value = Number | Annotated[str, Field(max_length=64)] | Annotated[tuple[Number, ...], Field(max_length=10_000)]
 
 
@@ -49,7 +48,8 @@ class EffectParameter(Words):
     @model_validator(mode="after")
     def _is_whole(self) -> EffectParameter:
         if unit_of(self.name) != self.unit:
-            raise InputError("unit", self.unit, f"{unit_of(self.name)!r}, by the ending of {self.name}")
+            allowed = f"{unit_of(self.name)!r}, by the ending of {self.name}"
+            raise InputError("unit", self.unit, allowed, "a name ends with its unit: shift_um, loss_per_cm, share")
         if self.choices and (self.lower is not None or self.upper is not None or self.per_chip):
             raise InputError("choices", self.choices, "no range and no per_chip beside them")
         if not self.choices and (self.lower is None or self.upper is None or not self.lower < self.upper):

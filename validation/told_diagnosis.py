@@ -45,7 +45,8 @@ def diagnosis(document: Document) -> Iterator[str]:
         yield from next_measurement(document)
     elif document["verdict"] in ("one_effect", "cannot_tell_apart") and document["set"]:
         yield ""
-        yield f"luxloop add {document['set'][0]} puts it into {document['model']['file']}."
+        twin = " --twin" if document["solver"]["method"] == "twin" else ""
+        yield f"luxloop add {document['set'][0]}{twin} puts it into {document['model']['file']}."
     for reason in document["untestable"]:
         yield f"not testable with these data: {reason}, for what is fitted anyway does all that it does"
     by_reason: dict[str, list[str]] = {}

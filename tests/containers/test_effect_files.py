@@ -105,7 +105,7 @@ def test_a_good_file_is_known_by_its_hash(tmp_path: Path) -> None:
         (detector("import time; time.sleep(0.4 * (self.share > 0)); return image"), ("acts: ", "at most 1 s")),
         ("import not_there_at_all\n" + detector("return image"), ("import: ", "not_there_at_all", "install")),
         (detector("return image").replace('unit="", ', ""), ("import: ", "unit")),
-        (detector("return image").replace('unit=""', 'unit="um"'), ("spec: ", "unit", "share")),
+        (detector("return image").replace('unit=""', 'unit="um"'), ("spec: Mine.share: unit", "ends with its unit")),
         (detector("return image").replace("lower=0.0", "lower=0.9"), ("spec: ", "lower", "below upper")),
         (detector("return image").replace('name = "mine"', 'name = "yours"'), ("import: ", "'mine'", "rename")),
         (detector("return image").replace("DetectorEffect)", "DetectorEffect"), ("import: ", "SyntaxError")),

@@ -34,6 +34,7 @@ from validation.dataset.simulate import (
 from validation.fit.problem import wrapped_deg
 from validation.measured import measured_far_fields, measured_images, measured_spectra
 
+OXIDE = '[[films.layers]]\nmaterial = "SiO2"\nthickness_nm = 100.0\n'
 PLAN = """
 name = "one chip and four"
 [[samples]]
@@ -240,6 +241,16 @@ def wrong_plan(tmp_path: Path, text: str) -> Sequence[str]:
     """Options that name a plan file with this text."""
     (tmp_path / "wrong.toml").write_text(text)
     return ("--plan", str(tmp_path / "wrong.toml"))
+
+
+def test_a_plan_of_films_alone_is_enough_for_spectra(run: Run, tmp_path: Path) -> None:
+    """What it leaves out is the paper's; the data set has the film alone."""
+    (tmp_path / "films.toml").write_text('[[films]]\nid = "oxide"\nexit = "Si"\n' + OXIDE)
+    assert read_plan(tmp_path / "films.toml").samples == paper_plan().samples
+    options = ("--plan", tmp_path / "films.toml", "--no-images", "--spectra", "R", "--wavelengths", "400:700:10")
+    told = json.loads(run(tmp_path / "out", *options, "--json").stdout)
+    assert told["shots"] == ["oxide-R"]
+    assert [film.id for film in read_dataset(tmp_path / "out").manifest.films] == ["oxide"]
 
 
 @pytest.mark.parametrize(

@@ -212,7 +212,8 @@ def simulate(
     out: Annotated[Path, typer.Argument(help="Folder to write; it must be empty or not there yet.")],
     model: Annotated[str, typer.Option(help="paper, clear_chip, or a model file: the truth.")] = "paper",
     plan: Annotated[
-        Path | None, typer.Option(help="TOML with the tables camera and samples; default: the paper's six groups.")
+        Path | None,
+        typer.Option(help="TOML with the tables camera, samples, films; else the paper's six groups."),
     ] = None,
     solver: Annotated[Solver, typer.Option(help="Monte Carlo, or its deterministic twin.")] = "monte_carlo",
     histories: Annotated[int, typer.Option(min=1, help="Of Monte Carlo, for each sample.")] = HISTORIES,

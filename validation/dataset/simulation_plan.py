@@ -26,13 +26,27 @@ FILM = FilmSample(
 """Where a plan has no films: what an epitaxial wafer shows."""
 
 
+def paper_samples() -> tuple[Sample, ...]:
+    """The paper's six groups: a single chip and 5 x 5 of them, with 0, 2.5 and 5.5 pairs (its Fig. 5)."""
+    common = {"distance_um": 180.0, "width_um": 40.0, "spacing_um": 400.0, "thickness_um": 20.0}
+    layouts = {"single": {}, "array": {"rows": 5, "columns": 5}}
+    return tuple(
+        parse(Sample, {"id": f"{layout}-{pairs:g}", "layout": layout, "dbr_pairs": pairs, **chips, **common})
+        for layout, chips in layouts.items()
+        for pairs in (0.0, 2.5, 5.5)
+    )
+
+
 class Plan(Words):
-    """A plan file: which samples are put before which camera, one image of each; which films have their spectra."""
+    """A plan file: which samples are put before which camera, one image of each; which films have their spectra.
+
+    What it leaves out is the paper's: its samples, and a wafer for a film.
+    """
 
     name: str = "simulated"
     licence: str = ""
     camera: CameraFacts = DECLARED
-    samples: tuple[Sample, ...] = Field(min_length=1, max_length=64)
+    samples: tuple[Sample, ...] = Field(default_factory=paper_samples, min_length=1, max_length=64)
     films: tuple[FilmSample, ...] = Field((FILM,), min_length=1, max_length=64)
 
     @field_validator("samples")
@@ -49,23 +63,16 @@ class Plan(Words):
 
 
 def paper_plan() -> Plan:
-    """The paper's six groups: a single chip and 5 x 5 of them, with 0, 2.5 and 5.5 pairs (its Fig. 5)."""
-    common = {"distance_um": 180.0, "width_um": 40.0, "spacing_um": 400.0, "thickness_um": 20.0}
-    layouts = {"single": {}, "array": {"rows": 5, "columns": 5}}
-    samples = [
-        parse(Sample, {"id": f"{layout}-{pairs:g}", "layout": layout, "dbr_pairs": pairs, **chips, **common})
-        for layout, chips in layouts.items()
-        for pairs in (0.0, 2.5, 5.5)
-    ]
-    return Plan(name="paper-like set, single chips and 5 x 5 arrays", licence="CC0-1.0", samples=tuple(samples))
+    """The paper's six groups before the declared camera."""
+    return Plan(name="paper-like set, single chips and 5 x 5 arrays", licence="CC0-1.0")
 
 
 def read_plan(path: Path) -> Plan:
-    """The plan in a TOML file: name, licence, [camera], [[samples]] as in a data set; InputError for other things."""
+    """The plan in a TOML file: name, licence, [camera], [[samples]], [[films]] as in a data set; else InputError."""
     try:
         data = tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise InputError("--plan", str(path), "a TOML file with [[samples]]", str(error)) from None
+        raise InputError("--plan", str(path), "a TOML file with [[samples]], [[films]]", str(error)) from None
     return parse(Plan, data, path.name)
 
 
