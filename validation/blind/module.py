@@ -22,7 +22,8 @@ from validation.blind.optics import image_of
 from validation.blind.scenes import (
     FILMS,
     LOPSIDED_CHIPS,
-    LOPSIDED_MODULES,
+    LOPSIDED_GROUND,
+    OF_SEVERAL,
     UNEVEN_GROUND,
     Layout,
     There,
@@ -176,7 +177,8 @@ class Tracer:
 
     def _even(self, sample: Sample, tally: Real) -> Real:
         """Symmetric where the module is."""
-        if sample.rows != sample.columns or self._there.keys() & LOPSIDED_MODULES:
+        lopsided = LOPSIDED_CHIPS | LOPSIDED_GROUND | (OF_SEVERAL if sample.chips > 1 else set())
+        if sample.rows != sample.columns or self._there.keys() & lopsided:
             return tally
         return maps.symmetric(tally)
 

@@ -28,10 +28,9 @@ FILMS = frozenset(
 )  # fmt: skip
 LOPSIDED_CHIPS = frozenset(("current_tail", "round_pad", "tilted_chips", "turned_chips", "metal_side"))
 """Their light lacks the symmetries of the square."""
-LOPSIDED_MODULES = LOPSIDED_CHIPS | {
-    "binning", "weak_chip", "shaken_chips", "chip_sizes", "growth_wedge", "wedged_spacer", "saddle_substrate",
-    "one_sided_bezel", "substrate_slope",
-}  # fmt: skip
+LOPSIDED_GROUND = frozenset(("wedged_spacer", "saddle_substrate", "one_sided_bezel", "substrate_slope"))
+OF_SEVERAL = frozenset(("binning", "weak_chip", "shaken_chips", "chip_sizes", "growth_wedge"))
+"""A single chip has none of these."""
 UNEVEN_GROUND = frozenset(
     ("wedged_spacer", "bowed_receiver", "saddle_substrate", "dark_joints", "flux_ring", "substrate_slope",
      "substrate_rim", "diffuse_frame", "one_sided_bezel")

@@ -134,7 +134,7 @@ def _trapped(body: Body, ray: Real) -> bool:
     if body.ripple > 0.0 or not (body.mirrored or (body.sigma == 0.0 and body.second_share == 0.0)):
         return False
     of_top, of_sides = sqrt(1.0 - 1.0 / body.n**2), sqrt(1.0 - (body.beside / body.n) ** 2)
-    return abs(ray[DZ]) < of_top and abs(ray[DX]) < of_sides and abs(ray[DY]) < of_sides
+    return bool(abs(ray[DZ]) < of_top and abs(ray[DX]) < of_sides and abs(ray[DY]) < of_sides)
 
 
 @kernel
