@@ -33,6 +33,8 @@ from validation.dataset.manifest import (
 from validation.dataset.spectra import FarFieldTable, SpectrumTable, read_far_field, read_spectrum
 
 PIXELS_PER_PITCH = 16
+DARKER = 5.0
+"""Standard errors that the mean of an image without any light may be below its black."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +101,7 @@ def measured_images(dataset: Dataset, compare_pixel_um: float | None = None) -> 
     Files that several shots name are read once.
 
     Raises InputError for a file that cannot be read or does not fit, numbers that are not finite, a flat that is not
-    above 0, and an image without a usable pixel.
+    above 0, and an image without a usable pixel or without light.
     """
     camera, shots = dataset.manifest.camera, dataset.manifest.images()
     if camera is None or not shots:
@@ -221,13 +223,16 @@ def _measured(
     of_image = camera.dark_variance_dn2 / bin_and_frames
     of_dark = 0.0 if shot.dark is None else camera.dark_variance_dn2 / (factor**2 * _dark_frames(shot))
     like = np.ones(signal.shape)
+    constant_dn2 = (of_image + of_dark) * correction.inverse_square * like
+    signal = signal - black
+    _refuse_without_light(shot, signal[used], constant_dn2[used])
     return MeasuredImage(
         shot=shot,
         sample=manifest.sample(shot.sample),
         camera=camera,
-        signal_dn=signal - black,
+        signal_dn=signal,
         used=used,
-        constant_dn2=(of_image + of_dark) * correction.inverse_square * like,
+        constant_dn2=constant_dn2,
         slope_dn=camera.gain_dn_per_e / bin_and_frames * correction.inverse_mean * like,
         dark_dn2=of_dark * correction.inverse_square * like,
         prnu=camera.prnu_percent / 100.0 / factor,
@@ -237,6 +242,14 @@ def _measured(
         saturated=int(np.count_nonzero(saturated if ignored is None else saturated & ~ignored)),
         masked=0 if ignored is None else int(np.count_nonzero(ignored)),
     )
+
+
+def _refuse_without_light(shot: ImageShot, signal_dn: Real, variance_dn2: Real) -> None:
+    """An image (pixel,) that is darker than its own black by more than noise."""
+    mean = float(signal_dn.mean())
+    if mean < -DARKER * math.sqrt(float(variance_dn2.mean()) / signal_dn.size):
+        value, allowed = f"mean {mean:.1f} DN above black", f"above {shot.dark or 'black_level_dn'}"
+        raise InputError(f"{shot.file}: values", value, allowed, "are dark and image exchanged?")
 
 
 def _dark_frames(shot: ImageShot) -> int:

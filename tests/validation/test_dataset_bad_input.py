@@ -222,6 +222,7 @@ IMAGES: dict[str, tuple[Callable[[Path], object], str, str, str]] = {
     "NaN": (lambda f: put(f, SINGLE, masked_nan()), SINGLE, "values", "mask them"),
     "constant": (lambda f: put(f, SINGLE, np.full((PIXELS, PIXELS), 900, np.uint16)), SINGLE, "values", "constant"),
     "all saturated": (lambda f: put(f, SINGLE, 4090 + grey() % np.uint16(5)), SINGLE, "values", "shorter exposure"),
+    "only full scale": (lambda f: put(f, SINGLE, 0 * grey() + 4095), SINGLE, "values", "100 %) saturated"),
     "gamma": (lambda f: put(f, ARRAY, gamma()), ARRAY, "noise", "gamma"),
     "dark size": (lambda f: put(f, "dark/dark.tif", grey()[:-1]), "dark/dark.tif", "size", "crop"),
     "dark brighter": (lambda f: put(f, "dark/dark.tif", grey() + np.uint16(9)), "dark/dark.tif", "values", "exchang"),
@@ -342,6 +343,7 @@ def test_a_bad_table_is_told(folder: Path, case: str) -> None:
     told = found(folder)
     assert (told[0].file, told[0].field) == (file, field), told
     assert mend in told[0].mend
+    assert "np." not in told[0].value
 
 
 def test_many_faults_of_a_kind_are_counted_not_listed(folder: Path) -> None:

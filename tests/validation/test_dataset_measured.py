@@ -214,8 +214,17 @@ def test_a_constant_image_is_refused(folder: Path) -> None:
 )
 def test_sizes_that_differ_are_refused(folder: Path, name: str, size: int) -> None:
     """By the name of a file, with both sizes."""
-    put(folder, name, np.full((size, size), 7, np.uint16) + np.eye(size, dtype=np.uint16))
+    put(folder, name, np.full((size, size), 70, np.uint16) + np.eye(size, dtype=np.uint16))
     with pytest.raises(InputError, match=re.compile("size: got .* x .* pixels.*allowed", re.DOTALL)):
+        images(folder)
+
+
+def test_an_image_darker_than_its_dark_is_refused(folder: Path) -> None:
+    """Exchanged by mistake, they would be fitted with a gain of 0 and an offset; noise about black is no fault."""
+    import tifffile
+
+    put(folder, "dark/dark.tif", tifffile.imread(folder / "images/single.tif") + np.uint16(5))
+    with pytest.raises(InputError, match=r"images/single.tif: values.*above dark/dark.tif.*exchanged"):
         images(folder)
 
 

@@ -118,7 +118,7 @@ def _of_pixels(image: TiffImage, seen: NDArray[np.bool_], camera: CameraFacts, s
     if most > camera.full_scale_dn:
         mend = f"is bit_depth {camera.bit_depth} right? Shifted up to fill 16 bits? Shift it back"
         yield Told(InputError(where, f"up to {most:g} DN", f"at most {camera.full_scale_dn:g} DN", mend))
-    if least == most:
+    if least == most < camera.saturation_dn:
         yield Told(InputError(where, f"{least:g} DN everywhere", "an image", "a constant image shows nothing"))
         return
     if image.for_screens:
@@ -127,7 +127,7 @@ def _of_pixels(image: TiffImage, seen: NDArray[np.bool_], camera: CameraFacts, s
     yield from _of_steps(values, where)
     saturated = int(np.count_nonzero(values >= camera.saturation_dn))
     if saturated:
-        value = f"{saturated} of {values.size} pixels ({100.0 * saturated / values.size:.2g} %) saturated"
+        value = f"{saturated} of {values.size} pixels ({_percent(saturated, values.size)}) saturated"
         allowed = f"below {camera.saturation_dn:.0f} DN"
         whole = saturated == values.size
         mend = "a shorter exposure" + ("" if whole else "; they are left out of every comparison")
@@ -138,6 +138,10 @@ def _of_pixels(image: TiffImage, seen: NDArray[np.bool_], camera: CameraFacts, s
         mend = "is black_level_dn right?"
         allowed = f"from the black level {camera.black_level_dn:g} DN on"
         yield Told(InputError(where, f"1 % below {darkest:.1f} DN", allowed, mend), "warning")
+
+
+def _percent(part: int, whole: int) -> str:
+    return f"{100.0 * part / whole:.2g} %" if part < whole else "100 %"
 
 
 def _of_steps(values: Pixels, where: str) -> Iterator[Told]:

@@ -171,7 +171,7 @@ def _numbers(rows: Sequence[tuple[int, Row]], column: str, name: str, faults: Fa
             faults.append(InputError(f"{name}: line {line}: {column}", cell, "a finite number", "remove the row"))
         elif column == "sigma" and numbers[at] <= 0.0:
             mend = "give the standard deviation of the value; repeat the measurement to learn it"
-            faults.append(InputError(f"{name}: line {line}: sigma", numbers[at], "above 0", mend))
+            faults.append(InputError(f"{name}: line {line}: sigma", float(numbers[at]), "above 0", mend))
     return numbers
 
 
