@@ -166,9 +166,12 @@ class Campaigns:
         run.journal.put(note_records(note, run.sequence, time.time_ns()), done)
 
     def end(self, asked: Asked, end: End) -> None:
-        """Finish a run's journal; records and root go back."""
+        """Finish a run's journal; records and root go back, once more to who asks again.
+
+        A run that was closed for its designer's silence and opened again by it has not ended yet.
+        """
         designer, ended = self._finished.get(end.run, ("", None))
-        if designer != end.designer:
+        if designer != end.designer or end.run in self._runs:
             ended = None
         if ended is None and end.run not in self._runs:
             ended = ended_before(self._folder / end.run, end)
@@ -184,7 +187,10 @@ class Campaigns:
         self._perform(self.agent.handle(event), result)
 
     def tick(self, now_s: float) -> None:
-        """Let go of questions whose hold is over, and of runs whose designer has gone."""
+        """Let go of questions whose hold is over, and of runs whose designer has gone.
+
+        One that is silent and lives computes, or waits for a worker: a fit with Monte Carlo says nothing for minutes.
+        """
         for name, run in list(self._runs.items()):
             with self._lock:
                 for lane in run.lanes.values():
@@ -192,7 +198,8 @@ class Campaigns:
                         lane.asked.reply(Nothing())
                         lane.asked = None
                 waited_for = any(lane.asked is not None for lane in run.lanes.values())
-            if not waited_for and now_s - run.heard_s > SILENT_S:
+            silent_s = 0.0 if waited_for else now_s - run.heard_s
+            if silent_s > SILENT_S and not self._lives(run.begin.designer):
                 silent = f"nothing heard of its designer {run.begin.designer} for {SILENT_S:g} s"
                 self._close(name, _stopped(silent), lost=True)
 

@@ -28,6 +28,7 @@ GROUPS = {
     "audit": "A run's journal: look at it, verify it, replay it, mend it.",
     "materials": "The optical constants that ship with luxloop.",
     "effects": "Physical effects: those there are, what they do, your own.",
+    "blind": "The blind test: hide effects, let the diagnosis find them, open the seals and count.",
     "dataset": "Measured data: check it, import it, simulate it, show it.",
     "model": "The model file: make one, look at it, compare versions, go back.",
 }
@@ -129,12 +130,9 @@ def _colour() -> bool | None:
 def _as_object(error: LuxloopError) -> dict[str, Any]:
     if isinstance(error, InputError):
         return {
-            "code": "bad_input",
-            "field": error.field,
-            "value": repr(error.value)[:200],
-            "allowed": error.allowed,
-            "mend": error.mend,
-        }
+            "code": "bad_input", "field": error.field, "value": repr(error.value)[:200],
+            "allowed": error.allowed, "mend": error.mend,
+        }  # fmt: skip
     if isinstance(error, RemoteError):
         return dict(error.failure.model_dump(mode="json"))
     return {"code": "failed", "message": str(error)}

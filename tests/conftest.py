@@ -50,6 +50,12 @@ def processes_at(endpoint: str) -> list[str]:
     return processes_with(f"LUXLOOP_ROUTER={endpoint}")
 
 
+def handles(pid: int, number: int) -> bool:
+    """Whether a process has a handler of its own for a signal (Linux)."""
+    caught = next(line for line in Path(f"/proc/{pid}/status").read_text().splitlines() if line.startswith("SigCgt:"))
+    return bool(int(caught.split()[1], 16) >> (number - 1) & 1)
+
+
 def processes_with(setting: str) -> list[str]:
     """The processes with this `NAME=value` in their environment, this one excepted."""
     found = []

@@ -31,7 +31,7 @@ def warm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Settings]:
     settings = Settings(router=free_endpoint(), cache=tmp_path_factory.mktemp("cache"))
     process = start(settings, "-m", "luxloop", "serve", "local", "--quiet")
     try:
-        wait_for(lambda: luxloop(settings, "doctor").returncode == 0, "the set to be healthy", 30.0)
+        wait_for(lambda: luxloop(settings, "doctor").returncode == 0, "the set to be healthy", 120.0)
         yield settings
     finally:
         process.terminate()

@@ -29,7 +29,8 @@ def comparison(document: Document) -> Iterator[str]:
     yield document["sentence"] + "."
     if not document["trusted"]:
         yield f"Not to be trusted: {document['reason']}."
-    if document["solver"]["method"] == "twin":
+    traced = any(shot["kind"] != "spectrum" for shot in document["shots"])  # films have no other solver
+    if traced and document["solver"]["method"] == "twin":
         yield "By the twin alone, whose own error may show as structure: leave --twin out for the verdict."
 
 

@@ -11,7 +11,7 @@ from validation.told import table
 
 Document = Mapping[str, Any]
 
-SCORES, CANDIDATES, NAMED = 8, 8, 6
+SCORES, CANDIDATES, NAMED, MOST_NAMES = 8, 8, 6, 8
 LONGEST = 118
 """Characters of a line of a diff: values of many chips are long."""
 
@@ -53,7 +53,8 @@ def diagnosis(document: Document) -> Iterator[str]:
     for name, _, reason in (line.partition(": ") for line in document["not_tested"]):
         by_reason.setdefault(reason, []).append(name)
     for reason, names in by_reason.items():
-        yield f"not testable with these data: {', '.join(names)}, because {reason}"
+        which = ", ".join(names) if len(names) <= MOST_NAMES else f"{len(names)} effects"
+        yield f"not testable with these data: {which}, because {reason}"
 
 
 def _seen_above(limits: Sequence[Document]) -> Iterator[str]:

@@ -66,7 +66,8 @@ class Desk:
     """A controller whose inbox we are, with one worker of each kind that answers by hand."""
 
     def __init__(self, folder: Path) -> None:
-        self.controller = Dispatcher(LocalBus(LocalRouter()), Settings(runs=folder))
+        self.router = LocalRouter()
+        self.controller = Dispatcher(LocalBus(self.router), Settings(runs=folder))
         self.uniformity = 0.8
         for kind in ("film", "ray"):
             self.hello(kind)
@@ -341,6 +342,37 @@ def test_a_designer_that_has_gone_ends_its_run(desk: Desk, tmp_path: Path) -> No
     assert desk.controller.core.tasks == {}
     lines = [record.value for record in written(tmp_path) if record.topic == "/log"]
     assert "nothing heard of its designer" in str(lines[-1])
+
+
+def test_a_silent_designer_that_lives_keeps_its_run(desk: Desk) -> None:
+    """A fit with Monte Carlo asks workers for minutes, and tells its run nothing; without its token it has gone."""
+    campaigns_of = desk.controller._campaigns
+    desk.begin(plan(kind="validation"))
+    later_s = time.monotonic() + 10.0 * campaigns.SILENT_S
+    with LocalBus(desk.router) as bus:
+        bus.announce(at("luxloop", "alive", role="designer", name="d"))
+        campaigns_of.tick(later_s)
+        assert "one" in campaigns_of.runs
+    campaigns_of.tick(later_s)
+    assert not campaigns_of.runs
+
+
+def test_the_end_of_a_run_that_was_closed_for_silence_is_its_own(tmp_path: Path) -> None:
+    """Opened again by its designer it ends anew: records and root of the whole, not those it was closed with."""
+    desk = Desk(tmp_path)
+    desk.begin()
+    desk.controller._campaigns.tick(time.monotonic() + 2.0 * campaigns.SILENT_S)
+    question = desk.put("begin", Begin(plan=plan(), designer="d", resume=True))
+    event = desk.controller._inbox.take(WAIT_S)  # asked once more when the journal has been read
+    assert event is not None
+    desk.controller.take(event)
+    assert isinstance(question.wait(), Begun)
+    assert desk.put("note", Note(run="one", designer="d", log="late"), name="one").wait() == Receipt(accepted=True)
+    ended = desk.end()
+    assert isinstance(ended, Ended)
+    assert not desk.controller._campaigns.runs
+    assert (tmp_path / "one" / "audit.sha256").read_text().split() == [ended.root, str(ended.records)]
+    assert desk.end() == ended
 
 
 def test_a_controller_that_stops_finishes_its_journals(desk: Desk, tmp_path: Path) -> None:

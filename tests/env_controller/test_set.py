@@ -26,7 +26,7 @@ from luxloop.errors import RemoteError
 from luxloop.failure import Failure
 from luxloop.messages import Done, Heartbeat, Hello, Outcome, Pull, Receipt, Submit, Task
 from luxloop.settings import Settings
-from tests.conftest import processes_with, start, stop, wait_for
+from tests.conftest import handles, processes_with, start, stop, wait_for
 from tests.running_set import RunningSet
 
 SLEEPY = str(Path(__file__).parents[1] / "sleepy_worker.py")
@@ -321,10 +321,11 @@ def test_a_controller_without_a_router_can_be_stopped(settings: Settings) -> Non
     """It waits for the router, and ends with 0 when it is told to; it does not hang in the session's opening."""
     process = start(settings, "-m", "luxloop", "serve", "controller", "--quiet")
     try:
+        wait_for(lambda: handles(process.pid, signal.SIGTERM), "the controller to take charge of signals", 60.0)
         with pytest.raises(subprocess.TimeoutExpired):
-            process.wait(1.5)
+            process.wait(1.0)
         process.terminate()
-        assert process.wait(5) == 0
+        assert process.wait(20) == 0
     finally:
         stop(process)
 

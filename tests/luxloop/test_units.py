@@ -75,9 +75,15 @@ PURE = {
     # of a comparison
     "z": "difference in standard errors",
     "residual_maps": "in standard deviations of the noise",
+    # of a blind set
+    "amount": "in the unit of its kind",
+    "sigma": "length of a whitened image",
+    "asked_sigma": "length of a whitened image",
+    "rivals": "lengths of whitened images, by name",
 }
 UNIT_INSIDE = {
     "heard_s_ago": "seconds; reads as a sentence",
+    "seconds": "the unit itself",
     "walk_error_points": "points of uniformity",
     "final_error_points": "points of uniformity",
     "target_error_points": "points of uniformity, of which 1 has 100",

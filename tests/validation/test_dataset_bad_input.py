@@ -267,6 +267,22 @@ def test_a_centre_outside_of_the_image_is_told(folder: Path) -> None:
     assert only(folder).field == "centre_px"
 
 
+def test_a_fixed_pattern_that_dark_and_flat_know_is_no_noise(folder: Path) -> None:
+    """Pixels that differ by 4 % in sensitivity and 10 DN in the dark are warned of only where they are not told."""
+    random = np.random.default_rng(4)
+    flat = 1.0 + 0.04 * random.standard_normal((PIXELS, PIXELS))
+    pattern = np.rint(10.0 * random.standard_normal((PIXELS, PIXELS)))
+    many = photographed(PEAK_DN * light(3, 5) * flat, 2) + pattern
+    put(folder, ARRAY, np.clip(many, 0, 4095).astype(np.uint16))
+    put(folder, "dark/many.tif", (64.0 + pattern).astype(np.uint16))
+    put(folder, "flat/many.tif", (1000.0 * flat).astype(np.float32))
+    assert [finding.field for finding in found(folder, "warning")] == ["noise"]
+    named = 'dark = "dark/many.tif"\ndark_frames_averaged = 100\nflat = "flat/many.tif"\nexposure_ms = 4.0'
+    edit(folder, "exposure_ms = 4.0", named)
+    assert not found(folder, "warning")
+    assert not found(folder)
+
+
 def test_camera_numbers_that_contradict_the_noise_are_a_warning(folder: Path) -> None:
     """A gain ten times too large shows in the image itself."""
     edit(folder, "gain_dn_per_e = 0.05", "gain_dn_per_e = 0.5")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -35,6 +36,9 @@ from validation.fit import (
     fit,
     profile,
 )
+from validation.fit.image_fit import crossed
+from validation.fit.least_squares import reduce
+from validation.fit.parameters import Unknowns
 from validation.fit.problem import wrapped_deg
 from validation.fit.result import WANTED_NOISE, histories_for
 from validation.measured import MeasuredSpectrum
@@ -251,6 +255,21 @@ def test_a_fit_that_is_lost_about_a_noisy_anchor_says_so():
     assert min(found.gains.values()) > 100.0
     assert not found.converged
     assert not found.trusted
+
+
+@pytest.mark.parametrize(("towards", "held"), [(-1.0, False), (1.0, True)])
+def test_what_began_at_a_limit_leaves_it_where_the_step_of_two_walks_leads_inside(towards: float, held: bool) -> None:
+    """Least squares of the one walk's columns would go the other way; a step beyond the limit is none."""
+    columns, other = np.array([[1.0, 0.0], [0.6, 0.8]]), np.array([[1.0, 0.0], [-0.6, 0.8]])
+    parameters, values = (Parameter("a", upper=2.0), Parameter("b")), np.array([2.0, 0.0])
+    residual = np.array([0.0, towards])
+    unknowns = Unknowns(parameters, (), ())
+    at = SimpleNamespace(values=values, residual=lambda _: residual, problem=SimpleNamespace(unknowns=unknowns))
+    reduced = reduce(columns, residual, parameters, values)
+    assert np.sign(reduced.step(bounded=False).change[0]) == -towards
+    step = crossed(at, None, reduced, columns, other)
+    assert list(step.at_limit) == [held, False]
+    assert step.change[0] == pytest.approx(0.0 if held else -0.75)
 
 
 def test_errors_and_chi2_hold_about_a_noisy_anchor(about_noise):

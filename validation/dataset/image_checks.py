@@ -8,6 +8,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter
 
 from luxloop.errors import InputError
 from validation.dataset.images import MASK_TYPES, Pixels, Real, TiffImage, binned_mean
@@ -69,7 +70,8 @@ def image_faults(manifest: Manifest, shot: ImageShot, load: Load) -> Iterator[To
     yield from _of_pixels(image, seen, camera, shot)
     usable = seen & np.isfinite(raw) & (raw < camera.saturation_dn)
     if usable.any() and np.ptp(raw[usable]) > 0:
-        yield from _of_noise(raw, usable, camera, shot)
+        plain = _without_patterns(raw, dark, flat, camera.black_level_dn)
+        yield from _of_noise(plain, usable, camera, shot)
         yield from _of_lattice(raw, usable, camera, manifest.sample(shot.sample), shot)
 
 
@@ -149,6 +151,17 @@ def _of_steps(values: Pixels, where: str) -> Iterator[Told]:
         yield Told(InputError(where, f"in steps of {step} DN", "steps of 1 DN", mend))
 
 
+def _without_patterns(raw: Pixels, dark: TiffImage | None, flat: TiffImage | None, black_dn: float) -> Pixels:
+    """The raw image without what its dark and its flat know from pixel to pixel; its levels stay as they are."""
+    if dark is not None:
+        raw = np.asarray(raw, np.float32) - dark.values + np.float32(black_dn)
+    if flat is not None:
+        sensitivity = np.where(flat.values > 0, flat.values, 1).astype(np.float32)
+        around = uniform_filter(sensitivity, 3, mode="nearest")
+        raw = np.float32(black_dn) + (raw - np.float32(black_dn)) * (around / sensitivity)
+    return raw
+
+
 def _of_noise(raw: Pixels, usable: NDArray[np.bool_], camera: CameraFacts, shot: ImageShot) -> Iterator[Told]:
     """Noise that grows with the signal in another way than the camera's numbers say; gamma shows so."""
     law = _noise_law(raw, usable, camera)
@@ -156,6 +169,8 @@ def _of_noise(raw: Pixels, usable: NDArray[np.bool_], camera: CameraFacts, shot:
         return
     signal, found, weight = law
     expected = (camera.gain_dn_per_e * signal + camera.dark_variance_dn2) / shot.frames_averaged
+    if shot.dark is not None:
+        expected += camera.dark_variance_dn2 / (shot.dark_frames_averaged or shot.frames_averaged)
     expected += (camera.prnu_percent / 100.0 * signal) ** 2
     x, (y, z) = np.log(signal), np.log((found, expected))
     centred = x - np.average(x, weights=weight**2)

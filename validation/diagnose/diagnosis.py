@@ -182,14 +182,16 @@ def beyond_limits(fit: Fit) -> list[str]:
 
 
 def short_list(scored: Scores, alike: Confounding) -> list[EffectScore]:
-    """The best few, and those that are nearly the same as the best one."""
+    """The best few, those that are nearly the same as the best one, and what is there or not.
+
+    Of a switch the column is the whole way at the values of a fit without it, which may have gone far to make up for
+    it: only a fit with it tells.
+    """
     best = [one for one in scored.effects if one.best.drop > 0.0][:SHORT_LIST]
-    if not best:
-        return []
-    group = alike.group_of(best[0].name)
-    return (
-        best + [one for one in scored.effects[SHORT_LIST:] if one.name in group and one.best.drop > 0.0][:SHORT_LIST]
-    )
+    group = alike.group_of(best[0].name) if best else ()
+    others = [one for one in scored.effects if one not in best]
+    near = [one for one in others if one.name in group and one.best.drop > 0.0][:SHORT_LIST]
+    return best + near + [one for one in others if one.best.candidate.is_switch and one not in near]
 
 
 def as_fitted(projected: Projected, score: EffectScore, found: Refitted) -> EffectScore:

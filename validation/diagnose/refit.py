@@ -22,7 +22,9 @@ from validation.diagnose.frozen import FrozenCurves, FrozenImages, Slopes, froze
 from validation.effects.known import CHIP, applied, off_values, with_effect
 from validation.fit import Fit, prior_chi2, refitted, unknowns_of
 from validation.fit.image_fit import ANCHOR_MOVE, MAX_ANCHORS
+from validation.fit.parameters import pose_of
 from validation.fit.problem import CurvePredictor, ImagePredictor, Problem
+from validation.fit.start import start_values
 from validation.prediction import Anchored
 from validation.prediction.differences import stencil
 
@@ -38,6 +40,13 @@ MOST_HALVINGS = 4
 
 SLOPE_SHARE = 0.1
 """Of its range: by which an effect that the twin cannot represent is moved for the slope at its own value."""
+
+OTHER_LIGHT = 0.1
+"""Share by which the light of an image may differ from that at the anchor, before Monte Carlo is asked for anew."""
+
+STEPS, FURTHER = 12, 8
+"""Of a fit with frozen derivatives, and of one with its own, after it: what explains little never converges, and what
+is named is fitted further."""
 
 AS_WELL = 2.0
 """Of chi2, within which words fit as well, and the first in the catalogue's order, the most usual ones, are taken:
@@ -104,7 +113,7 @@ def refit(base: Fit, score: Score, slopes: Slopes) -> Refitted:
     if score.candidate.is_group:
         return spread(base, score.candidate)
     if score.candidate.is_switch:
-        return switched(base, score.candidate, slopes)
+        return switched(base, score.candidate)
     return freed(base, score, slopes)
 
 
@@ -129,18 +138,41 @@ def freed(base: Fit, score: Score, slopes: Slopes) -> Refitted:
         if residual @ residual <= base.chi2:
             break
         size = 0.5 * candidate.size(start)
-    found = refitted(problem, values)
+    found = refitted(problem, values, STEPS)
     return Refitted(
         candidate, found.value(path), found.error(path), found.residual, _chi2(found), path in found.at_limit,
         found.model, found,
     )  # fmt: skip
 
 
-def switched(base: Fit, candidate: Candidate, slopes: Slopes) -> Refitted:
-    """The effect is there, with the word of its shape."""
-    frozen, start = with_slopes(base.problem, slopes), base.problem.unknowns.named(base.values)
-    found = refitted(*posed(frozen, added(base.model, candidate, None), tuple(slopes), start))
+def switched(base: Fit, candidate: Candidate) -> Refitted:
+    """The effect is there, with the word of its shape; derivatives are of where it begins: it is no small change.
+
+    Begun where the fit without it ended, or, where that went far to make up for it, where it began: from what fits
+    better.
+    """
+    paths, ended = base.problem.unknowns.model_paths, base.problem.unknowns.named(base.values)
+    problem, near = posed(base.problem, added(base.model, candidate, None), paths, ended)
+    begun = replace(problem, model=added(base.problem.model, candidate, None))
+    of_model = {
+        *paths,
+        *(name for name in ended if name.endswith((".gain", ".offset_dn", ".scale")) or name == "gain"),
+    }
+    anew = start_values(begun, {name: value for name, value in ended.items() if name not in of_model})
+    starts = [(_lending(problem), near), (_lending(begun), anew)]
+    residuals = [one.evaluate(values).residual(base.whitening) for one, values in starts]
+    better = int(np.argmin([residual @ residual for residual in residuals]))
+    problem, values = starts[better]
+    found = refitted(frozen_at(about_its_light(problem, values), values), values, STEPS)
     return Refitted(candidate, 1.0, 0.0, found.residual, _chi2(found), False, found.model, found)
+
+
+def _lending(problem: Problem) -> Problem:
+    """The problem whose own model's chip exits stand for all, where an anchor only lends them."""
+    anchor = problem.anchor
+    if anchor is None or anchor.histories:
+        return problem
+    return replace(problem, anchor=replace(anchor, model=problem.model))
 
 
 def spread(base: Fit, candidate: Candidate) -> Refitted:
@@ -182,7 +214,7 @@ def finished(found: Refitted, predictor: ImagePredictor, curves: CurvePredictor 
         return found
     if not spec.twin:
         return _at_its_value(found, fit, predictor)
-    problem = replace(fit.problem, predictor=predictor, predict_curves=curves)
+    problem = about_its_light(replace(fit.problem, predictor=predictor, predict_curves=curves), fit.values)
     own, as_well = _best_words(found, problem, fit.values)
     lengths = [one for one in spec.parameters if one.off is None and not one.choices and one.name != CHIP]
     shapes = [one for one in lengths if one.shape_grid]
@@ -195,6 +227,28 @@ def finished(found: Refitted, predictor: ImagePredictor, curves: CurvePredictor 
         if better.converged and not any(path in better.at_limit for path in limits):
             own = better
     return replace(_with(found, own), as_well=as_well)
+
+
+def about_its_light(problem: Problem, values: Real) -> Problem:
+    """The problem about Monte Carlo at these values, where they have another light than the anchor has.
+
+    What the twin errs by, and the noise of Monte Carlo, is carried over as it is from the anchor, but it goes with
+    the light: of a chip that absorbs nothing it is several times too large for one that absorbs 200 /cm.
+    """
+    anchor, known = problem.anchor, problem.unknowns.named(values)
+    if anchor is None or not anchor.histories:
+        return problem
+    model, alone = problem.unknowns.model(problem.model, values), replace(anchor, histories=0)
+    models = (model, anchor.model)
+    here, there = (problem.predictor.images(one, problem.views(one, known), (), alone) for one in models)
+    changes = [
+        float(one.irradiance_per_mm2.sum() / other.irradiance_per_mm2.sum()) - 1.0
+        for one, other in zip(here, there, strict=True)
+    ]
+    if max(map(abs, changes), default=0.0) <= OTHER_LIGHT:
+        return problem
+    poses = tuple(pose_of(image, known) for image in problem.images)
+    return replace(problem, anchor=replace(anchor, model=model, poses=poses))
 
 
 def _best_words(found: Refitted, problem: Problem, values: Real) -> tuple[Fit, tuple[Words, ...]]:
@@ -221,17 +275,17 @@ def _best_words(found: Refitted, problem: Problem, values: Real) -> tuple[Fit, t
 def _renewed(problem: Problem, values: Real) -> Fit:
     """The fit with derivatives of its own: those where it begins, renewed where it has moved away from there.
 
-    What does not converge so, for an effect as large bends, is fitted with derivatives anew at each step.
+    What does not converge so, for an effect as large bends, takes some steps more with derivatives anew at each.
     """
-    found = refitted(frozen_at(problem, values), values)
+    found = refitted(frozen_at(problem, values), values, STEPS)
     for _ in range(MAX_ANCHORS - 1):
         paths = problem.unknowns.model_paths
         at = dict(zip(found.names, values, strict=True))
         if all(abs(found.value(path) - at[path]) <= ANCHOR_MOVE * found.error(path) for path in paths):
             break
         values = found.values
-        found = refitted(frozen_at(replace(problem, images=found.problem.images), values), values)
-    return found if found.converged else refitted(problem, found.values)
+        found = refitted(frozen_at(replace(problem, images=found.problem.images), values), values, STEPS)
+    return found if found.converged else refitted(problem, found.values, FURTHER)
 
 
 def _at_its_value(found: Refitted, fit: Fit, predictor: ImagePredictor) -> Refitted:

@@ -76,7 +76,9 @@ def size_in_words(
     shape: Mapping[str, Value],
     as_well: Sequence[Sequence[str]] = (),
 ) -> str:
-    """A size and what shapes it: "edge_loss 0.078 +- 0.0028 (law cos4; as well: quadratic)"."""
+    """A size and what shapes it: "edge_loss 0.078 +- 0.0028 (law cos4; as well: quadratic)"; a switch's word."""
+    if parameter in shape:
+        return ", ".join(f"{name} {one}" for name, one in shape.items())
     known = "" if error is None or not math.isfinite(error) else f" +- {error:.2g}"
     shaped = ", ".join(
         f"{name} {one:.4g}" if isinstance(one, float) else f"{name} {one}" for name, one in shape.items()

@@ -36,6 +36,7 @@ NOISY_GAP = 1.0  # chi2: what derivatives with noise of their own may still prom
 STALLS = 2  # steps in a row that gain nothing
 SETTLED, SETTLING = 0.1, 8  # of an error that the last step about a noisy anchor may be long; most steps
 FAR = 30.0  # errors: a step as long is not one of the last, and by noisy columns may lead anywhere
+RISE = 30.0  # chi2: what is solved for instead of the least chi2 lies within some errors of it
 POSE_PX = 1e-3
 MAX_ITERATIONS = 40
 MAX_DAMPING = 1e6
@@ -101,9 +102,9 @@ def _lent(
     return Anchored(model, 0) if paths or anchor_at is None else anchor_at(model)
 
 
-def refitted(problem: Problem, values: Real) -> Fit:
-    """The fit of a problem from given values, about the anchor that it has."""
-    return _unclipped(problem, values)
+def refitted(problem: Problem, values: Real, most: int = MAX_ITERATIONS) -> Fit:
+    """The fit of a problem from given values, about the anchor that it has, in so many iterations at most."""
+    return _unclipped(problem, values, most=most)
 
 
 def _quieter(found: Fit, most_histories: int) -> Fit:
@@ -118,23 +119,23 @@ def _quieter(found: Fit, most_histories: int) -> Fit:
     return _unclipped(replace(found.problem, anchor=moved), found.values, found.iterations)
 
 
-def _unclipped(problem: Problem, values: Real, done: int = 0) -> Fit:
+def _unclipped(problem: Problem, values: Real, done: int = 0, most: int = MAX_ITERATIONS) -> Fit:
     """The optimum, without pixels whose mean of several frames may hide a clipped one (their mean is too low)."""
-    found = _descend(problem, values, done)
+    found = _descend(problem, values, done, most)
     images = []
     for image, signal_dn in zip(problem.images, found.signals_dn, strict=True):
         used = image.used & ~image.may_be_clipped(signal_dn)
         images.append(image if used.sum() in (0, image.used.sum()) else replace(image, used=used))
     if all(new is old for new, old in zip(images, problem.images, strict=True)):
         return found
-    return _descend(replace(problem, images=tuple(images)), found.values, found.iterations)
+    return _descend(replace(problem, images=tuple(images)), found.values, found.iterations, most)
 
 
-def _descend(problem: Problem, values: Real, done: int = 0) -> Fit:
+def _descend(problem: Problem, values: Real, done: int, most: int) -> Fit:
     """Iterates from `values` to the optimum, or as far as it goes."""
     noisy = problem.anchor is not None and problem.anchor.histories > 0
     evaluation, damping, stalled = problem.evaluate(values), 0.0, 0
-    for iteration in range(done, done + MAX_ITERATIONS):
+    for iteration in range(done, done + most):
         white, reduced, columns = linearised(evaluation)
         last = reduced.step()
         if noisy and reduced.chi2 - last.chi2 < NOISY_GAP:
@@ -161,7 +162,7 @@ def _settled(evaluation: Evaluation, iteration: int) -> Fit:
 
     Its steps are by the product of columns with columns of another walk. Steps by their own product fall short along
     what the data hardly know, for there most of a column is noise, and end up to an error from the solution. Where
-    they are long they are none of the last, and none is taken: the fit has not converged.
+    they are long, or chi2 would rise, they are none of the last, and none is taken: the fit has not converged.
     """
     problem, others, turn = evaluation.problem, evaluation.others(), 0
     while True:
@@ -172,18 +173,28 @@ def _settled(evaluation: Evaluation, iteration: int) -> Fit:
         seen = np.isfinite(error) & (error > 0.0)
         longest = float(np.max(np.abs(step.change[seen]) / error[seen], initial=0.0))
         near, turn = longest < SETTLED, turn + 1
-        if near or longest > FAR or turn == SETTLING:
+        if near or longest > FAR or step.chi2 > reduced.chi2 + RISE or turn == SETTLING:
             return conclude(evaluation, white, reduced, columns, step, iteration + turn, near, other)
         evaluation = problem.evaluate(problem.unknowns.within(evaluation.values + step.change))
 
 
 def crossed(evaluation: Evaluation, white: Whitening, reduced: Reduced, columns: Real, other: Real) -> Step:
-    """The step by the product of columns with others whose noise is independent; what is at a limit stays there."""
-    held = reduced.step().at_limit
-    longest = np.array([one.longest_step for one in reduced.parameters])
-    change = reduced.crossed_step(columns, other, evaluation.residual(white), ~held & ~reduced.blind)
-    change = evaluation.problem.unknowns.within(evaluation.values + np.clip(change, -longest, longest))
-    change -= evaluation.values
+    """The step by the product of columns with others whose noise is independent.
+
+    What is at a limit stays there where this step itself would lead beyond: the least chi2 of noisy columns is drawn
+    towards where they were taken, so what began at a limit would never leave it.
+    """
+    parameters, values = reduced.parameters, evaluation.values
+    at, held = reduced.at_limit(np.zeros(len(values))), np.zeros(len(values), bool)
+    lower, upper = (np.array([getattr(one, side) for one in parameters]) for side in ("lower", "upper"))
+    while True:
+        change = reduced.crossed_step(columns, other, evaluation.residual(white), ~held & ~reduced.blind)
+        beyond = at & ~held & ((values + change <= lower) | (values + change >= upper)) & (change != 0.0)
+        if not beyond.any():
+            break
+        held |= beyond
+    longest = np.array([one.longest_step for one in parameters])
+    change = evaluation.problem.unknowns.within(values + np.clip(change, -longest, longest)) - values
     return Step(change, reduced.chi2_after(change), held)
 
 

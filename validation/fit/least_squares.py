@@ -79,7 +79,7 @@ class Reduced:
         scaled = _bounded(matrix, target, lower * scale, upper * scale)
         change = np.zeros(len(self.parameters))
         change[free] = np.clip(scaled / scale, lower, upper)
-        return Step(change, self.chi2_after(change), self._at_limit(change) & (free if fixed is None else ~fixed))
+        return Step(change, self.chi2_after(change), self.at_limit(change) & (free if fixed is None else ~fixed))
 
     @property
     def gap(self) -> float:
@@ -161,7 +161,8 @@ class Reduced:
             lower, upper = np.maximum(lower, -longest), np.minimum(upper, longest)
         return np.minimum(lower, 0.0)[free], np.maximum(upper, 0.0)[free]
 
-    def _at_limit(self, change: Real) -> Mask:
+    def at_limit(self, change: Real) -> Mask:
+        """Which parameters a change brings to a limit, or leaves there."""
         value = self.values + change
         lower = np.array([p.lower for p in self.parameters])
         upper = np.array([p.upper for p in self.parameters])

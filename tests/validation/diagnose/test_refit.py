@@ -18,7 +18,7 @@ from luxloop.model import Model
 from tests.validation.analytic import ARRAY, HALO, MODEL, PATHS, SIGMA, SINGLE, Spots, blank
 from tests.validation.diagnose.made_up import GAIN, THIRD, seen, spec
 from validation.diagnose.frozen import FrozenImages, frozen_at, slopes_of, without
-from validation.diagnose.refit import Refitted, finished, freed
+from validation.diagnose.refit import Refitted, about_its_light, finished, freed, switched
 from validation.diagnose.score import Candidate, Score
 from validation.effects.known import applied, with_effect
 from validation.effects.signatures import Column, Projection
@@ -201,3 +201,56 @@ def test_a_size_beyond_a_straight_lines_reach_is_begun_nearer(base: Fit) -> None
     near = freed(base, score, slopes_of(base))
     assert far.chi2 == pytest.approx(near.chi2, abs=1.0)
     assert abs(far.value - near.value) < 0.3 * near.error
+
+
+def test_monte_carlo_is_asked_for_anew_where_the_light_has_changed(base: Fit) -> None:
+    """By more than a tenth in any image: what the anchor carries over goes with the light."""
+    problem = replace(base.problem, predictor=Spots())
+    anchor = problem.anchor
+    assert anchor is not None
+    assert about_its_light(problem, base.values) is problem
+    darker = base.values.copy()
+    darker[problem.unknowns.names.index(HALO)] *= 0.5
+    moved = about_its_light(problem, darker).anchor
+    assert moved is not None
+    assert moved.model.leaves()[HALO] == pytest.approx(darker[problem.unknowns.names.index(HALO)])
+    assert (moved.histories, moved.seed) == (anchor.histories, anchor.seed)
+    lent = replace(problem, anchor=replace(anchor, histories=0))
+    assert about_its_light(lent, darker) is lent
+
+
+class Turned(Spots):
+    """Spots of which a switch exchanges what is far from what is near."""
+
+    def images(
+        self, model: Model, views: Sequence[View], paths: Sequence[str] = (), anchor: Anchored | None = None
+    ) -> list[Predicted]:
+        """As workers answer; with the switch the halo is what it lacks of 1."""
+        if not model.effects:
+            return super().images(model, views, paths, anchor)
+        other = model.model_copy(update={"effects": ()}).with_value(HALO, 1.0 - float(model.leaves()[HALO]))
+        found = []
+        for one in super().images(other, views, paths, anchor):
+            turned = {path: -column if path == HALO else column for path, column in one.jacobian_per_mm2.items()}
+            found.append(replace(one, jacobian_per_mm2=turned))
+        return found
+
+
+def test_a_switch_is_fitted_together_with_what_made_up_for_it() -> None:
+    """The fit without it goes to the other end of the halo; with it the value that the model had is right."""
+    switch, truth = spec("switch"), MODEL.with_value(HALO, 0.2)
+    random, images = np.random.default_rng(6), []
+    with_it = with_effect(truth, applied(switch, {"size": 1.0}))
+    for shot, sample in (("single", SINGLE), ("array", ARRAY)):
+        image = blank(shot, sample, side=32)
+        (light,) = Turned().images(with_it, [view_of(image, Pose())])
+        signal = GAIN * light.irradiance_per_mm2 + 20.0
+        noise = np.sqrt(image.variance_dn2(signal)) * random.standard_normal(signal.shape)
+        images.append(replace(image, signal_dn=signal + noise))
+    without_it = fit(truth, images, Turned(), free=(HALO,))
+    assert without_it.value(HALO) == pytest.approx(0.8, abs=0.05)
+    candidate = Candidate(switch, switch.parameters[0], (("size", 1.0),), np.zeros((1, 1)), (), is_switch=True)
+    found = switched(without_it, candidate)
+    assert found.fit is not None
+    assert found.fit.value(HALO) == pytest.approx(0.2, abs=4.0 * found.fit.error(HALO))
+    assert found.fit.chi2 == pytest.approx(found.fit.freedom, rel=0.1)

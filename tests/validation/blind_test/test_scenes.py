@@ -1,0 +1,89 @@
+"""Scenes: light that is used again is the light that would be traced; a hidden thing has the strength asked for."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from luxloop.errors import InputError
+from luxloop.model_file import find_model
+from tests.validation.blind_test.test_blind_command import HISTORIES, PIXELS, PLAN
+from validation import blind
+from validation.blind_test.scenes import Lights, Scene
+from validation.blind_test.strength import NotReached, sigma_of
+from validation.blind_test.truths import Truth, camera_of, sample_of, truth_of
+from validation.dataset.simulation_plan import Plan, read_plan
+
+
+@pytest.fixture(scope="module")
+def plan(tmp_path_factory: pytest.TempPathFactory) -> Plan:
+    """Two small images."""
+    path = tmp_path_factory.mktemp("plan") / "plan.toml"
+    path.write_text(PLAN)
+    return read_plan(path)
+
+
+@pytest.fixture(scope="module")
+def truth() -> Truth:
+    """One of two images."""
+    return truth_of(0, find_model("paper"), 2, seed=8)
+
+
+@pytest.fixture(scope="module")
+def lights(plan: Plan, truth: Truth) -> Lights:
+    """Of that truth."""
+    samples = [sample_of(one) for one in plan.samples]
+    return Lights(truth, samples, camera_of(plan.camera, PIXELS), HISTORIES)
+
+
+@pytest.mark.parametrize("kinds", [(), ("defocus",), ("clipped_pupil", "smear"), ("ghost_image", "coma")])
+def test_maps_that_are_used_again_give_the_same_light(lights: Lights, kinds: tuple[str, ...]) -> None:
+    """Through whatever optics, bit for bit, in both halves, whose random numbers differ."""
+    hidden = [blind.Hidden(name, blind.KINDS[name].most / 2.0, 5) for name in kinds]
+    found = lights.of(hidden)
+    truth = lights.truth
+    for half, images in enumerate(found):
+        traced = blind.light(
+            truth.surroundings, lights.samples, lights.camera, truth.poses, hidden, seed=truth.seed + half,
+            histories=HISTORIES // 2,
+        )  # fmt: skip
+        assert all(np.array_equal(one, other) for one, other in zip(images, traced, strict=True))
+    assert not np.array_equal(found[0][0], found[1][0])
+
+
+def test_the_camera_changes_no_light(lights: Lights) -> None:
+    """What only the sensor does asks for no rays at all."""
+    assert lights.of([blind.Hidden("smear", 0.01)]) is lights.plain
+
+
+def test_light_that_cannot_be_traced_is_an_input_error(plan: Plan, truth: Truth) -> None:
+    """An image that reaches far beyond the module's map."""
+    far = plan.camera.model_copy(update={"pixel_um": 900.0})
+    samples = [sample_of(one) for one in plan.samples]
+    with pytest.raises(InputError, match="--plan"):
+        _ = Lights(truth, samples, camera_of(far, PIXELS), HISTORIES).plain
+
+
+class Flat:
+    """Measures the change of the first pixel of the first image."""
+
+    def left(self, change_dn: Any) -> Any:
+        """A tenth of it, once."""
+        return np.array([change_dn[0].mean() / 10.0])
+
+
+def test_a_hidden_thing_has_the_strength_asked_for(plan: Plan, truth: Truth, lights: Lights) -> None:
+    """By a made-up measure: the mean of an image, which daylight raises and dust cannot raise as much."""
+    nobody: Any = None
+    scene = Scene(truth, plan, PIXELS, HISTORIES, 4.0, nobody, nobody)
+    scene.__dict__["lights"], scene.__dict__["ruler"] = lights, Flat()
+    hidden, light, halves = scene.hide("stray_daylight", 7)
+    assert light is lights.plain
+    assert sigma_of(halves) == pytest.approx(4.0, rel=0.03)
+    kind = blind.KINDS["stray_daylight"]
+    assert kind.off < hidden.amount < kind.most
+    assert (hidden.kind, hidden.seed) == ("stray_daylight", 7)
+    with pytest.raises(NotReached):
+        scene.hide("row_banding", 7)

@@ -1,0 +1,122 @@
+"""Seals: they hold what was hidden, and say so where anything was changed."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+
+import pytest
+
+from luxloop.errors import InputError
+from luxloop.words import canonical
+from tests.validation.blind_test.pretend import answer, change, change_answer, folder_of, hiding, record
+from validation.blind_test.folders import ANSWERS, INDEX, SEAL, SETS, VERDICTS, read_index
+from validation.blind_test.marks import marked
+from validation.blind_test.scoring import score
+from validation.blind_test.seals import seal_of
+
+SET = answer("set-1", hiding("vignetting"))
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A set with its verdict."""
+    return folder_of(tmp_path / "blind", (SET, record("one_effect", "vignetting")))
+
+
+def test_the_seal_is_the_hash_of_salt_and_canonical_answer(folder: Path) -> None:
+    """Anyone can check it with a hash program; 32 bytes of salt, another one each time."""
+    opening = json.loads((folder / ANSWERS / "set-1.json").read_text())
+    salt = bytes.fromhex(opening["salt"])
+    assert len(salt) == 32
+    text = json.dumps(opening["answer"], sort_keys=True, separators=(",", ":"), ensure_ascii=False)
+    assert canonical(SET) == text.encode()
+    sealed = json.loads((folder / SETS / "set-1" / SEAL).read_text())["sha256"]
+    assert sealed == hashlib.sha256(salt + text.encode()).hexdigest() == seal_of(SET, salt)
+    again = folder_of(folder.parent / "again", (SET, None))
+    assert json.loads((again / ANSWERS / "set-1.json").read_text())["salt"] != opening["salt"]
+
+
+def test_a_seal_that_was_not_touched_opens(folder: Path) -> None:
+    """The answer comes back as it was sealed."""
+    (one,) = marked([folder])
+    assert one.answer == SET
+    assert one.is_exact
+
+
+def test_a_changed_answer_is_found(folder: Path) -> None:
+    """Another kind, written into the answer after the verdict."""
+    hidden = [hiding("camera_psf").model_dump(mode="json")]
+    change_answer(folder, "set-1", hidden=hidden)
+    with pytest.raises(InputError, match="changed after it was sealed") as error:
+        score([folder])
+    assert error.value.field == "set-1: answer"
+
+
+def test_an_answer_that_was_sealed_anew_is_found(folder: Path) -> None:
+    """Answer, salt and seal fit together, but the seal is not the one that the verdict was put on record with."""
+    verdict = (folder / VERDICTS / "set-1.json").read_bytes()
+    folder_of(folder, (answer("set-1", hiding("camera_psf")), None))
+    assert (folder / VERDICTS / "set-1.json").read_bytes() == verdict
+    with pytest.raises(InputError, match="the seal was changed after the verdict"):
+        score([folder])
+
+
+def test_a_verdict_on_other_data_is_found(folder: Path) -> None:
+    """The record names data that are not those of the answer."""
+    change(folder / VERDICTS / "set-1.json", dataset_sha256="e" * 64)
+    with pytest.raises(InputError, match="the verdict is on other data"):
+        score([folder])
+
+
+@pytest.mark.parametrize("salt", [None, "", "00", "no hex", 7])
+def test_a_seal_without_its_salt(folder: Path, salt: object) -> None:
+    """Nothing can be proved without it."""
+    change(folder / ANSWERS / "set-1.json", salt=salt)
+    with pytest.raises(InputError, match="nobody can prove the answer") as error:
+        score([folder])
+    assert error.value.field == "set-1: salt"
+
+
+def test_an_answer_that_is_missing(folder: Path) -> None:
+    """Its file is named."""
+    (folder / ANSWERS / "set-1.json").unlink()
+    with pytest.raises(InputError, match=r"answers/set-1\.json is not there"):
+        score([folder])
+
+
+def test_sets_of_another_version(folder: Path) -> None:
+    """Neither their folder nor a set that was put into one of this version."""
+    change(folder / SETS / "set-1" / SEAL, version="0.0.1")
+    with pytest.raises(InputError, match=r"a set of this version.*0\.0\.1|0\.0\.1.*a set of this version"):
+        score([folder])
+    change(folder / INDEX, version="0.0.1")
+    with pytest.raises(InputError, match="sets of this version"):
+        read_index(folder)
+
+
+def test_a_score_without_verdicts(tmp_path: Path) -> None:
+    """No seal is opened: even a broken one is not looked at."""
+    folder = folder_of(tmp_path, (SET, None))
+    (folder / ANSWERS / "set-1.json").write_text("{")
+    with pytest.raises(InputError, match="luxloop blind diagnose"):
+        score([folder])
+
+
+def test_only_sets_with_verdicts_are_opened(tmp_path: Path) -> None:
+    """The other one's answer is damaged, which nobody sees yet."""
+    folder = folder_of(tmp_path, (SET, record("one_effect", "vignetting")), (answer("set-2"), None))
+    (folder / ANSWERS / "set-2.json").write_text("{")
+    found = score([folder])
+    assert (found["sets"], found["without_verdict"]) == (1, 1)
+
+
+def test_a_folder_counts_once(folder: Path) -> None:
+    """Given twice it is refused; two folders add up."""
+    with pytest.raises(InputError, match="each set once"):
+        score([folder, folder])
+    other = folder_of(folder.parent / "other", (SET, record("none_of_the_known")))
+    found = score([folder, other])
+    assert found["sets"] == 2
+    assert [one["folder"] for one in found["misses"]] == [str(other)]

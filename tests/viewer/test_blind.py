@@ -1,0 +1,72 @@
+"""The page of a blind test: whole, alone, its table and maps, the same bytes twice."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.pages import Parsed, loads_nothing
+from tests.validation.blind_test.pretend import answer, folder_of, hiding, record
+from validation.blind_test.judging import maps_path, packed
+from validation.blind_test.scoring import maps_of, score
+from viewer.blind import confusion_figure, draw, page_of
+from viewer.blind import maps_of as maps_of_set
+
+HOSTILE = "<script>alert(1)</script>"
+
+
+@pytest.fixture
+def scored(tmp_path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
+    """A right verdict, and a wrong one with its residuals."""
+    folder = folder_of(
+        tmp_path / "out",
+        (answer("set-1", hiding("vignetting", rivals={"dead_chip": 4.0})), record("one_effect", "vignetting")),
+        (answer("set-2", hiding(kind="coma")), record("one_effect", "camera_psf", sentence=HOSTILE)),
+        (answer("set-3"), None),
+    )
+    random = np.random.default_rng(1)
+    maps = {f"{shot}/{kind}": random.standard_normal((12, 12)).astype(np.float16)
+            for shot in ("single-0", "array-0") for kind in ("z", "z_with")}  # fmt: skip
+    maps_path(folder, "set-2").write_bytes(packed(maps))
+    document = score([folder])
+    return document, maps_of(document["misses"])
+
+
+def test_the_page_tells_the_whole_score(scored: tuple[dict[str, Any], dict[str, Any]]) -> None:
+    """Every row of the table, the missed set with its residuals, both confusions; nothing is loaded."""
+    page = page_of(*scored)
+    loads_nothing(page)
+    for row in scored[0]["table"]:
+        assert row["quantity"].replace(">", "&gt;").replace("<", "&lt;").replace("'", "&#x27;") in page
+    assert scored[0]["sentence"] in page
+    assert "set-2: outside: coma" in page
+    assert "1 sets have no verdict" in page
+    assert HOSTILE not in page
+    assert page.count("Residuals of set-2") == 1
+    assert "Residuals of set-1" not in page
+    assert {"table", "confusion", "misses", "sets", "provenance"} <= set(Parsed(page).attributes("id"))
+    assert page == page_of(*scored)
+
+
+def test_residuals_are_those_of_the_set(scored: tuple[dict[str, Any], dict[str, Any]]) -> None:
+    """By shot, without and with the effect that was named; none for a set without maps."""
+    document, arrays = scored
+    (missed,) = document["misses"]
+    assert set(maps_of_set(missed, arrays)) == {
+        "single-0", "array-0", "single-0 with camera_psf", "array-0 with camera_psf",
+    }  # fmt: skip
+    assert maps_of_set(missed | {"id": "set-9"}, arrays) == {}
+
+
+def test_the_map_of_who_was_taken_for_whom(scored: tuple[dict[str, Any], dict[str, Any]], tmp_path: Path) -> None:
+    """Counts stand in their cells; the picture is written by its name's ending."""
+    figure = confusion_figure(scored[0]["confusion"]["effects"])
+    axes = figure.axes[0]
+    assert [label.get_text() for label in axes.get_yticklabels()] == ["outside: coma", "vignetting"]
+    assert [label.get_text() for label in axes.get_xticklabels()] == ["vignetting", "camera_psf"]
+    assert sorted((text.get_position(), text.get_text()) for text in axes.texts) == [((0, 1), "1"), ((1, 0), "1")]
+    draw(*scored, tmp_path / "who.png")
+    assert (tmp_path / "who.png").read_bytes().startswith(b"\x89PNG")

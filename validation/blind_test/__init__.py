@@ -1,0 +1,1 @@
+"""The blind test: data sets that hide something, verdicts on them, and how often those were right."""

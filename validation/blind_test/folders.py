@@ -1,0 +1,87 @@
+"""A folder of blind sets: what lies where, and files that are written whole or not at all.
+
+FOLDER/blind.json            what was asked for, but for what is hidden; the sets by name, and which share a light
+       sets/ID/              an ordinary data set, and seal.json: the hash of the answer
+       answers/ID.json       salt and answer; nobody needs it before the score
+       verdicts/ID.json      what the diagnosis said; ID.npz: the residuals that it left
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import Field
+
+from luxloop import __version__
+from luxloop.errors import InputError
+from luxloop.words import Name, Words, parse
+
+SCHEMA: Literal["luxloop-blind/1"] = "luxloop-blind/1"
+INDEX, SETS, ANSWERS, VERDICTS, SEAL = "blind.json", "sets", "answers", "verdicts", "seal.json"
+
+
+class Entry(Words):
+    """A set: its name, and that of its light. Sets of one light are the same scene, recorded several times."""
+
+    id: Name
+    light: Name
+
+
+class Index(Words):
+    """What may be known of a folder before its seals are opened."""
+
+    schema_: Literal["luxloop-blind/1"] = Field(SCHEMA, alias="schema")
+    version: str = Field(__version__, description="Of luxloop, which made the sets.")
+    model: str = Field("paper", description="The model that the verdicts begin with.")
+    plan: str = Field(description="Name of the samples' plan.")
+    sets: tuple[Entry, ...] = Field(min_length=1, max_length=100_000)
+
+    def text(self) -> str:
+        """As it is written."""
+        return json.dumps(self.model_dump(mode="json", by_alias=True), indent=1) + "\n"
+
+
+def read_index(folder: Path) -> Index:
+    """What a folder of blind sets says of itself.
+
+    Raises InputError for a folder that has none, and for sets that another version made: its verdicts and these are
+    no sample of one thing.
+    """
+    path = folder / INDEX
+    data = read_json(path, "FOLDER", f"a folder with a {INDEX}", "luxloop blind make FOLDER makes one")
+    if data.get("schema") != SCHEMA or data.get("version") != __version__:
+        found = f"{data.get('schema')}, luxloop {data.get('version')}"
+        mend = "take the luxloop that made them, or make new ones"
+        raise InputError(str(path), found, f"sets of this version: {SCHEMA}, luxloop {__version__}", mend)
+    return parse(Index, data, str(path))
+
+
+def read_json(path: Path, field: str, allowed: str, mend: str) -> dict[str, Any]:
+    """A JSON object in a file. Raises InputError naming `field` where there is none."""
+    name = f"{path.parent.name}/{path.name}"
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise InputError(field, f"{name} is not there", allowed, mend) from None
+    except (OSError, ValueError) as error:
+        raise InputError(field, f"{name}: {error}", allowed, mend) from None
+    if not isinstance(data, dict):
+        raise InputError(field, f"{name} is no JSON object", allowed, mend)
+    return data
+
+
+def write_whole(path: Path, data: bytes | str | Mapping[str, Any]) -> None:
+    """A file that is there with all its bytes or not at all, whatever kills the process."""
+    if isinstance(data, Mapping):
+        data = json.dumps(data, ensure_ascii=False)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}")
+    with temporary.open("wb") as file:
+        file.write(data if isinstance(data, bytes) else data.encode())
+        file.flush()
+        os.fsync(file.fileno())
+    temporary.replace(path)

@@ -1,0 +1,180 @@
+"""Verdicts on blind sets: the same diagnosis that a user gets, one record a set, written whole.
+
+The seal is not opened, and nothing of `answers/` is read. Sets of one light are the same scene with other noise: what
+the first of them asked of the workers (columns of effects, the anchor's Monte Carlo, the null) serves all.
+"""
+
+from __future__ import annotations
+
+import io
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from luxloop import __version__
+from luxloop.effect import EffectSpec
+from luxloop.model import Model
+from validation.blind_test.folders import SCHEMA, SETS, VERDICTS, Entry, Index, read_json, write_whole
+from validation.blind_test.seals import seal_on
+from validation.comparing import Solver
+from validation.contrasts.structure import fit_layout, fit_projection, judged
+from validation.dataset.folder import read_dataset
+from validation.diagnose.arrays import arrays_of
+from validation.diagnose.diagnosis import Diagnosis
+from validation.diagnose.document import document
+from validation.diagnose.ground import Ground
+from validation.diagnose.score import Candidate
+from validation.diagnosing import Diagnosing
+from validation.effects.known import Known
+from validation.fit import Fit
+from validation.fit.parameters import free_paths
+from validation.observed import Observed
+from validation.prediction import Anchored, Predictor
+
+KEPT = (
+    "verdict", "sentence", "structure", "scores", "scores_p", "effects", "set", "groups", "confounding", "added",
+    "next_measurement", "known", "distrust", "untestable", "shots", "parameters", "seed", "versions",
+)  # fmt: skip
+"""Of a diagnosis's document."""
+
+
+@dataclass(eq=False)
+class Shared:
+    """What sets of one light have in common: asked once."""
+
+    light: str = ""
+    anchor: Anchored | None = None
+    ground: Ground | None = None
+    candidates: list[Candidate] = field(default_factory=list)
+    refused: dict[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class SharedSolver(Solver):
+    """One anchor for all sets of a light: its Monte Carlo is run once."""
+
+    shared: Shared = field(default_factory=Shared)
+
+    def anchor(self, model: Model) -> Anchored:
+        """That of the first set."""
+        if self.shared.anchor is None:
+            self.shared.anchor = super().anchor(model)
+        return self.shared.anchor
+
+
+@dataclass(eq=False)
+class SharedDiagnosing(Diagnosing):
+    """A diagnosis that takes the columns of effects and the null of the base fit from the first set of its light."""
+
+    shared: Shared = field(default_factory=Shared)
+
+    def signatures(self, found: Fit, effects: Sequence[EffectSpec]) -> list[Candidate]:
+        """Of the base fit those of the first set; of a fit with effects its own."""
+        if found.model.effects:
+            return super().signatures(found, effects)
+        if not self.shared.candidates or self.shared.candidates[0].columns.shape[1] != len(found.residual):
+            self.shared.candidates = super().signatures(found, effects)
+            self.shared.refused = dict(self.refused)
+        self.refused.update(self.shared.refused)
+        return self.shared.candidates
+
+    def ground(self, found: Fit) -> Ground:
+        """By the null of the first set, which hardly depends on where a fit ends."""
+        if found.model.effects:
+            return super().ground(found)
+        first = self.shared.ground
+        if first is None or len(first.fit.residual) != len(found.residual):
+            self.shared.ground = super().ground(found)
+            return self.shared.ground
+        layout, projection = fit_layout(found), fit_projection(found)
+        structure = judged(found.residual, layout, projection, first.variances, first.null)
+        return replace(first, fit=found, structure=structure, projection=projection)
+
+
+@dataclass(frozen=True, eq=False)
+class Judge:
+    """Who gives the verdicts."""
+
+    folder: Path
+    model: Model
+    predictor: Predictor
+    known: Known
+    solver: Solver
+    cache: Path | None = None
+    among: tuple[str, ...] = ()
+    """Names of the effects to choose from; none: all."""
+
+    def verdicts(
+        self, index: Index, heard: Callable[[int, int, str], None] = lambda *_: None
+    ) -> Iterator[dict[str, Any]]:
+        """One for each set that has none yet, on record before it is yielded; sets of one light after each other.
+
+        `heard` is told how many of how many have one, and which is looked at.
+        """
+        order = sorted(index.sets, key=lambda one: (one.light, one.id))
+        shared = Shared()
+        for number, one in enumerate(order):
+            if one.light != shared.light:
+                shared = Shared(one.light)
+            heard(number, len(order), one.id)
+            if not record_path(self.folder, one.id).exists():
+                yield self._verdict(one, shared)
+        heard(len(order), len(order), "done")
+
+    def _verdict(self, one: Entry, shared: Shared) -> dict[str, Any]:
+        sealed = seal_on(self.folder, one.id)  # of what is judged: a seal that comes later is no seal
+        start = time.monotonic()
+        dataset = read_dataset(self.folder / SETS / one.id)
+        solver = SharedSolver(self.solver.histories, self.solver.seed, shared=shared)
+        first = shared.ground is None
+        engine = SharedDiagnosing(
+            self.model, Observed.of(dataset), self.predictor, self.known, solver, tuple(free_paths(self.model)),
+            self.cache, among=self.among, shared=shared,
+        )  # fmt: skip
+        found = engine.diagnosed()
+        told = document(found, engine.proposals, solver.seed)
+        record = {
+            "schema": SCHEMA, "id": one.id, "light": one.light, "seal": sealed, "dataset_sha256": dataset.sha256,
+            "model_sha256": self.model.sha256, "solver": self.solver.document(), "among": list(self.among),
+            "version": __version__, "seconds": time.monotonic() - start, "first_of_light": first,
+            **{name: told[name] for name in KEPT},
+        }  # fmt: skip
+        if first or record["verdict"] != "nothing_visible":
+            write_whole(maps_path(self.folder, one.id), packed(residuals_of(found)))
+        else:  # the same as those of the first, and a thousand times
+            record |= {"confounding": {"names": [], "cosines": []}, "scores": record["scores"][:1]}
+        write_whole(record_path(self.folder, one.id), record)
+        return record
+
+
+def record_path(folder: Path, name: str) -> Path:
+    """Where the verdict on a set lies."""
+    return folder / VERDICTS / f"{name}.json"
+
+
+def maps_path(folder: Path, name: str) -> Path:
+    """Where the residuals of a set lie."""
+    return folder / VERDICTS / f"{name}.npz"
+
+
+def read_record(folder: Path, name: str) -> dict[str, Any]:
+    """The verdict on a set. Raises InputError where there is none."""
+    path = record_path(folder, name)
+    return read_json(path, f"{name}: verdict", "a verdict on record", f"luxloop blind diagnose {folder}")
+
+
+def residuals_of(found: Diagnosis) -> dict[str, NDArray[np.float16]]:
+    """Residuals in sigma by "SHOT/z" and, with the best effect, "SHOT/z_with"; three digits are enough to draw."""
+    return {name: one.astype(np.float16) for name, one in arrays_of(found).items() if "/z" in name}
+
+
+def packed(arrays: dict[str, NDArray[np.float16]]) -> bytes:
+    """Arrays as the bytes of an .npz file."""
+    file = io.BytesIO()
+    np.savez_compressed(file, allow_pickle=False, **arrays)
+    return file.getvalue()

@@ -1,0 +1,221 @@
+"""Makes blind sets: a truth's light, what is hidden in it, as strongly as asked, the noise, the sealed answer.
+
+    truth --light()--> plain --ruler--> amounts --light(), signals(), recorded()--> data set + seal | answer
+
+A set appears in its folder whole, after its answer; what was made is kept when making is cut short and goes on.
+"""
+
+from __future__ import annotations
+
+import secrets
+import shutil
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from luxloop.errors import InputError
+from luxloop.model import Model
+from luxloop.words import sha256_of
+from validation import blind
+from validation.blind_test.folders import ANSWERS, INDEX, SETS, Entry, Index, read_index, read_json, write_whole
+from validation.blind_test.scenes import Light, Scene, mean_of, write_images
+from validation.blind_test.seals import Answer, Hiding, seal
+from validation.blind_test.strength import LEAST_SIGMA, Halves, NotReached, sigma_beside, sigma_of
+from validation.blind_test.truths import Counts, Kinds, Planned, camera_of, planned, surroundings_of, truth_of
+from validation.dataset.folder import read_dataset, write_sums
+from validation.dataset.simulation_plan import Plan
+from validation.diagnose.score import Projected
+from validation.effects.known import Known
+from validation.prediction import Predictor
+
+HISTORIES = 8_000_000
+"""Of walks inside a chip, for each sample: their noise is then 0.2 to 0.35 of that of a binned pixel."""
+MOST_SEED = 10**15
+WEAK, ASKED = "too-weak.json", "asked.json"
+"""Beside the answers: kinds that do not show as strongly as was asked; what was asked for."""
+
+
+@dataclass(frozen=True, eq=False)
+class Asked:
+    """What is asked of `blind make`."""
+
+    folder: Path
+    counts: Counts
+    seed: int
+    sigma: float
+    plan: Plan
+    model: Model
+    kinds: Sequence[str] = ()
+    pixels: int = 128
+    histories: int = HISTORIES
+    rivals: bool = True
+    """Whether the strength that is left beside each effect of the catalogue goes into the answer."""
+
+    def __post_init__(self) -> None:
+        """Refuse a strength that nobody could see."""
+        if self.counts.sets > self.counts.nothing and not self.sigma >= LEAST_SIGMA:
+            allowed = f"at least {LEAST_SIGMA:g}"
+            mend = f"{self.sigma:g} sigma are less than this camera can show beside {len(blind.KINDS)} other kinds"
+            raise InputError("--sigma", self.sigma, allowed, mend)
+        camera_of(self.plan.camera, self.pixels)
+        surroundings_of(self.model)
+
+    def document(self) -> dict[str, Any]:
+        """What must be the same for making to go on."""
+        return {
+            **asdict(self.counts), "seed": self.seed, "sigma": self.sigma, "kinds": list(self.kinds),
+            "plan_sha256": sha256_of(self.plan), "model_sha256": self.model.sha256,
+            "pixels": self.pixels, "histories": self.histories, "rivals": self.rivals,
+        }  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Begun:
+    """A folder that sets are put into, and what they are."""
+
+    asked: Asked
+    index: Index
+    plan: Sequence[Planned]
+    kinds: Kinds
+
+
+def begin(asked: Asked) -> Begun:
+    """The folder, begun or to be gone on with. Nothing is traced yet.
+
+    Raises InputError where it has other sets, and where there is no kind of a sort that is asked for.
+    """
+    plan = planned(asked.counts, asked.seed)
+    kinds = _kinds(asked, plan)
+    return Begun(asked, _index(asked, plan), plan, kinds)
+
+
+def make(
+    begun: Begun, predictor: Predictor, known: Known, heard: Callable[[int, int, str], None] = lambda *_: None
+) -> None:
+    """All sets that are not there yet. `heard` is told how many of how many are there, and what is done.
+
+    Raises InputError where no kind that is left shows as strongly as was asked.
+    """
+    asked, plan, kinds = begun.asked, begun.plan, begun.kinds
+    scene: Scene | None = None
+    for number, one in enumerate(plan):
+        if (asked.folder / SETS / one.id).is_dir():
+            continue
+        if scene is None or scene.truth.number != one.truth:
+            heard(number, len(plan), f"the light of truth {one.truth + 1}")
+            truth = truth_of(one.truth, asked.model, len(asked.plan.samples), asked.seed)
+            scene = Scene(truth, asked.plan, asked.pixels, asked.histories, asked.sigma, predictor, known)
+        heard(number, len(plan), one.id)
+        _make_one(asked, scene, one, kinds)
+    heard(len(plan), len(plan), "done")
+
+
+def _make_one(asked: Asked, scene: Scene, one: Planned, kinds: Kinds) -> None:
+    start = time.monotonic()
+    found: list[tuple[blind.Hidden, Light, Halves]] = []
+    for _ in range(one.count):
+        found.append(_hidden(asked, scene, one, kinds, [each[0].kind for each in found]))
+    hidden = [each[0] for each in found]
+    light = found[0][1] if len(found) == 1 else scene.lights.of(hidden) if found else scene.lights.plain
+    whole = sigma_of(scene.change(scene.lights, light, hidden)) if found else 0.0
+    raw = blind.recorded(scene.signals(mean_of(light), hidden), scene.camera, hidden, one.seed)
+    known_one = asked.rivals and len(found) == 1 and not one.outside
+    hidings = tuple(_hiding(each, halves, scene.rivals if known_one else None) for each, _, halves in found)
+    for each in hidden:
+        kinds.took(each.kind)
+    temporary = asked.folder / SETS / f".{one.id}"
+    shutil.rmtree(temporary, ignore_errors=True)
+    write_images(temporary, asked.plan, one.id, raw, scene.exposure[0], np.uint16)
+    answer = Answer(
+        id=one.id, hidden=hidings, asked_sigma=asked.sigma if found else 0.0, sigma=whole,
+        truth=scene.truth.document(), light=one.light, seed=asked.seed, histories=asked.histories,
+        dataset_sha256=read_dataset(temporary).sha256, seconds=time.monotonic() - start,
+    )  # fmt: skip
+    seal(asked.folder, temporary, answer)
+    write_sums(temporary)
+    temporary.rename(asked.folder / SETS / one.id)
+
+
+def _hidden(
+    asked: Asked, scene: Scene, one: Planned, kinds: Kinds, beside: Sequence[str]
+) -> tuple[blind.Hidden, Light, Halves]:
+    """The next kind that shows as strongly as was asked."""
+    weak = weak_kinds(asked.folder)
+    while (name := kinds.next(one.outside, beside)) is not None:
+        try:
+            return scene.hide(name, one.seed + len(beside))
+        except NotReached as reason:
+            kinds.drop(name)
+            weak[name] = reason.sigma
+            write_whole(asked.folder / ANSWERS / WEAK, weak)
+    reached = ", ".join(f"{name} {sigma:.1f}" for name, sigma in weak.items())
+    mend = f"at their most, and as far as amounts were found, kinds show by (sigma): {reached or 'none is left'}"
+    raise InputError("--sigma", asked.sigma, "a strength that the declared camera can see", mend)
+
+
+def _hiding(hidden: blind.Hidden, halves: Halves, rivals: Projected | None) -> Hiding:
+    kind = blind.KINDS[hidden.kind]
+    beside = sigma_beside(halves, rivals) if rivals is not None else {}
+    return Hiding(
+        kind=kind.name, place=kind.place, amount=hidden.amount, unit=kind.unit, seed=hidden.seed, right=kind.right,
+        sigma=sigma_of(halves), rivals={name: left for name, left in beside.items() if name not in kind.right},
+    )  # fmt: skip
+
+
+def seed_of(folder: Path, seed: int | None) -> int:
+    """The seed that was given, that of the sets which are there, or one that nobody has chosen."""
+    if seed is not None:
+        return seed
+    path = folder / ANSWERS / ASKED
+    if path.exists():
+        return int(read_json(path, ASKED, "what was asked for", "name another folder")["seed"])
+    return secrets.randbelow(MOST_SEED)
+
+
+def _index(asked: Asked, plan: Sequence[Planned]) -> Index:
+    """What the folder says of itself; InputError where it has other sets."""
+    entries = tuple(sorted((Entry(id=one.id, light=one.light) for one in plan), key=lambda one: one.id))
+    index = Index(plan=asked.plan.name, model=asked.model.name, sets=entries)
+    path = asked.folder / ANSWERS / ASKED
+    if path.exists():
+        there = read_index(asked.folder) if (asked.folder / INDEX).exists() else index
+        if there != index or read_json(path, ASKED, "what was asked for", "name another folder") != asked.document():
+            mend = "the same command goes on with its sets; take another folder for others"
+            raise InputError("FOLDER", str(asked.folder), "an empty folder, or one that the same command began", mend)
+    elif asked.folder.exists() and any(asked.folder.iterdir()):
+        raise InputError("FOLDER", str(asked.folder), "an empty folder, or one that is not there yet", "name another")
+    write_whole(path, asked.document())
+    write_whole(asked.folder / INDEX, index.text())
+    return index
+
+
+def _answers(folder: Path) -> Iterator[Answer]:
+    for path in sorted((folder / ANSWERS).glob("set-*.json")):
+        yield Answer.model_validate(read_json(path, path.name, "an answer", "make the sets anew")["answer"])
+
+
+def weak_kinds(folder: Path) -> dict[str, float]:
+    """Kinds that do not show as strongly as was asked, with the sigma that they have at their most."""
+    path = folder / ANSWERS / WEAK
+    return dict(read_json(path, WEAK, "sigma by kind", "remove it")) if path.exists() else {}
+
+
+def _kinds(asked: Asked, plan: Sequence[Planned]) -> Kinds:
+    """The kinds to choose from, with what sets that are there have taken."""
+    kinds = Kinds(asked.kinds, asked.seed)
+    for name in weak_kinds(asked.folder):
+        kinds.drop(name)
+    for answer in _answers(asked.folder):
+        if (asked.folder / SETS / answer.id).is_dir():
+            for one in answer.hidden:
+                kinds.took(one.kind)
+    for outside in {one.outside for one in plan if one.count}:
+        if not kinds.has(outside):
+            where = "outside of" if outside else "in"
+            allowed = f"at least one kind {where} the catalogue that is strong enough"
+            raise InputError("--kinds", ", ".join(asked.kinds), allowed, "name others")
+    return kinds

@@ -1,0 +1,89 @@
+"""The score of folders of blind sets, as one document: the table, who was taken for whom, what was missed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from luxloop import __version__
+from validation.blind_test.folders import read_index
+from validation.blind_test.groups import GROUPS, group_of
+from validation.blind_test.judging import maps_path
+from validation.blind_test.making import weak_kinds
+from validation.blind_test.marks import Marked, marked
+from validation.blind_test.table import Confused, Row, table
+
+
+def score(folders: Sequence[Path]) -> dict[str, Any]:
+    """Everything that is told; seals are opened. Raises InputError as `marks.marked` does."""
+    sets = marked(folders)
+    rows = table(sets)
+    hidden = [one for one in sets if not one.is_nothing and not one.is_two]
+    return {
+        "folders": [str(folder) for folder in folders],
+        "sets": len(sets),
+        "without_verdict": sum(len(read_index(folder).sets) for folder in folders) - len(sets),
+        "sentence": sentence(rows, len(sets)),
+        "table": [row.document() for row in rows],
+        "confusion": {
+            "effects": Confused.of([(one.truth, one.said) for one in hidden]).document(),
+            "groups": Confused.of([(_group(one), group_of(one.said)) for one in hidden]).document(),
+        },
+        "groups": {group: list(names) for group, names in GROUPS.items()},
+        "misses": [one.document() for one in sets if one.is_missed],
+        "marks": [one.document() for one in sets],
+        "too_weak": _weak(folders),
+        "seconds": {
+            "made": _spread(one.answer.seconds for one in sets),
+            "diagnosed": _spread(one.record["seconds"] for one in sets if one.record["first_of_light"]),
+            "diagnosed_again": _spread(one.record["seconds"] for one in sets if not one.record["first_of_light"]),
+        },
+        "among": sorted({len(one.record["among"]) or one.record["known"] for one in sets}),
+        "solvers": sorted({str(one.record["solver"]["method"]) for one in sets}),
+        "versions": {"luxloop": __version__},
+    }
+
+
+def sentence(rows: Sequence[Row], sets: int) -> str:
+    """What to say first."""
+    judged = [row for row in rows if row.said in ("shown", "met", "short")]
+    shown, short = (sum(row.said == word for row in judged) for word in ("shown", "short"))
+    return (
+        f"{sets} sets: of {len(judged)} targets that they can judge {len(judged) - short} are met"
+        f" ({shown} of them shown: the whole 95 % interval), {short} fall short."
+    )
+
+
+def maps_of(misses: Iterable[dict[str, Any]]) -> dict[str, NDArray[np.float64]]:
+    """Residuals in sigma of what was missed, by "FOLDER/ID/SHOT/z" and "/z_with"."""
+    found: dict[str, NDArray[np.float64]] = {}
+    for one in misses:
+        path = maps_path(Path(one["folder"]), one["id"])
+        if path.exists():
+            with np.load(path, allow_pickle=False) as maps:
+                found |= {f"{one['folder']}/{one['id']}/{name}": maps[name].astype(np.float64) for name in maps}
+    return found
+
+
+def _group(one: Marked) -> str:
+    if one.is_outside:
+        return f"outside: {one.answer.hidden[0].place}"
+    return group_of(one.right[0])
+
+
+def _weak(folders: Sequence[Path]) -> dict[str, float]:
+    found: dict[str, float] = {}
+    for folder in folders:
+        found |= weak_kinds(folder)
+    return found
+
+
+def _spread(seconds: Iterable[float]) -> dict[str, float] | None:
+    several = sorted(seconds)
+    if not several:
+        return None
+    return {"sets": len(several), "median": float(np.median(several)), "most": several[-1], "sum": sum(several)}

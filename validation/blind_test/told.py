@@ -1,0 +1,86 @@
+"""What `luxloop blind` says on a terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from validation.told import table
+
+Document = Mapping[str, Any]
+
+MISSES = 20
+"""Told of all; the page has the others."""
+
+
+def made(document: Document) -> Iterator[str]:
+    """What was made, and what comes next."""
+    yield f"{document['folder']}: {document['sets']} sets, their answers sealed"
+    if document["too_weak"]:
+        yield weak(document["too_weak"])
+    yield f"next: luxloop blind diagnose {document['folder']}, then luxloop blind score {document['folder']}"
+
+
+def judged(document: Document) -> Iterator[str]:
+    """The verdicts of this run by kind, and what comes next."""
+    yield f"{document['folder']}: {document['judged']} verdicts put on record, {document['before']} were there"
+    if document["verdicts"]:
+        yield ", ".join(f"{name} {count}" for name, count in document["verdicts"].items())
+    yield f"next: luxloop blind score {document['folder']}"
+
+
+def scored(document: Document) -> Iterator[str]:
+    """The table, who was taken for whom by group, the misses."""
+    yield document["sentence"]
+    if document["without_verdict"]:
+        yield f"{document['without_verdict']} sets have no verdict yet and do not count; their seals are shut."
+    yield ""
+    yield from table(("quantity", "target", "hits", "found", "95 %", ""), [_row(row) for row in document["table"]])
+    yield ""
+    yield from _confusion(document["confusion"]["groups"])
+    if document["misses"]:
+        yield ""
+        heads = ("missed", "hidden", "sigma", "beside its rival", "said")
+        yield from table(heads, [_miss(one) for one in document["misses"][:MISSES]])
+        if len(document["misses"]) > MISSES:
+            yield f"... and {len(document['misses']) - MISSES} more: --page shows all of them"
+    if document["too_weak"]:
+        yield weak(document["too_weak"])
+    for words, name in (("to make a set", "made"), ("to diagnose one", "diagnosed"),
+                        ("to diagnose another one of its light", "diagnosed_again")):  # fmt: skip
+        if spread := document["seconds"][name]:
+            yield f"{words}: {spread['median']:.0f} s (median of {spread['sets']}), at most {spread['most']:.0f} s"
+
+
+def weak(sigma_of: Mapping[str, float]) -> str:
+    """Kinds that the camera cannot see as strongly as was asked."""
+    kinds = ", ".join(f"{name} {sigma:.1f}" for name, sigma in sorted(sigma_of.items()))
+    return f"not hidden, for they do not show as strongly as was asked (sigma at their most): {kinds}"
+
+
+def found(row: Document) -> tuple[str, str]:
+    """A row's value and its interval; percent, but for the size of a set."""
+    if row["value"] is None:
+        return "-", "-"
+    if row["unit"] != "share":
+        return f"{row['value']:.2f}", f"{row['low']:.2f} to {row['high']:.2f}"
+    return f"{100.0 * row['value']:.1f} %", f"{100.0 * row['low']:.1f} to {100.0 * row['high']:.1f} %"
+
+
+def _row(row: Document) -> tuple[str, ...]:
+    return (row["quantity"], row["target"], f"{row['hits']:g} of {row['of']}", *found(row), row["said"])
+
+
+def _confusion(document: Document) -> Iterator[str]:
+    if not document["rows"]:
+        return
+    yield "hidden -> said, by group:"
+    for truth, counts in zip(document["rows"], document["counts"], strict=True):
+        several = [(count, name) for count, name in zip(counts, document["columns"], strict=True) if count]
+        yield f"  {truth}: " + ", ".join(f"{name} {count}" for count, name in sorted(several, reverse=True))
+
+
+def _miss(one: Document) -> tuple[str, ...]:
+    beside = "-" if one["sigma_rival"] is None else f"{one['sigma_rival']:.1f}"
+    said = one["verdict"] + (f": {', '.join(one['set'])}" if one["set"] else "")
+    return (one["id"], one["truth"], f"{one['sigma']:.1f}", beside, said)
