@@ -158,7 +158,7 @@ class Scene:
     def rivals(self) -> Projected:
         """The columns of all effects that these samples can have."""
         chips = max(one.rows * one.columns for one in self.plan.samples)
-        specs = [for_chips(one, chips) for one in self.known.specs if not one.name.startswith("film_")]
+        specs = [for_chips(one, chips) for one in self.known.specs if "modules" in one.acts_on]
         return self.ruler.rivals(self.predictor, self.known, specs)
 
     def change(self, lights: Lights, light: Light, hidden: Sequence[blind.Hidden]) -> Halves:
