@@ -8,7 +8,7 @@ bootstrap). Rows without sets stay in the table.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -69,6 +69,8 @@ def interval(hits: int, of: int, level: float = LEVEL) -> tuple[float, float]:
 
 def table(sets: Sequence[Marked]) -> list[Row]:
     """All rows of DIAGNOSIS section 5."""
+    later = {each.answer.follows: each for each in sets if each.answer.follows}
+    sets = [each for each in sets if not each.answer.follows]
     one = [each for each in sets if each.is_one]
     strong = [each for each in one if _at_least(each, 20.0)]
     apart = [each for each in one if each.told_apart]
@@ -77,12 +79,14 @@ def table(sets: Sequence[Marked]) -> list[Row]:
     two = [each for each in sets if each.is_two]
     pulls = [each.size_pull for each in one if each.size_pull is not None]
     falls = [each.held_out[0] for each in one if each.held_out[0] is not None]
+    further = [later.get(each.record["seal"], each) for each in apart if later and not _is_open(each, later)]
     others = [fell for each in one for fell in each.held_out[1]]
     return [
         alarms([each for each in sets if each.is_nothing]),
         _share("detection at 8 sigma", [each for each in one if _at(each, 8.0)], lambda each: each.is_seen, 0.95),
         _share("detection at 20 sigma or more", strong, lambda each: each.is_seen, None),
         _share("exact name, sigma_rival >= 5", apart, lambda each: each.is_exact, 0.8),
+        _share("the same, with the proposed image", further, lambda each: each.is_exact, 0.9),
         _share(
             "cannot_tell_apart, sigma_rival < 5", alike, lambda each: each.verdict == "cannot_tell_apart", 0.9
         ),
@@ -150,6 +154,11 @@ def _counted(quantity: str, hits: Sequence[bool], least: float | None, most: flo
         return Row(quantity, target, 0, 0, None, None, None, least, most)
     count = sum(hits)
     return Row(quantity, target, count, len(hits), count / len(hits), *interval(count, len(hits)), least, most)
+
+
+def _is_open(one: Marked, later: Mapping[str, Marked]) -> bool:
+    """Whether an image was proposed that was not taken, or has no verdict yet."""
+    return one.record["next_measurement"] is not None and one.record["seal"] not in later
 
 
 def _none_of_the_known(one: Marked) -> bool:

@@ -73,6 +73,24 @@ def test_exact_names_count_where_the_data_can_tell() -> None:
     assert row(sets, "mean size").value == pytest.approx(7 / 5)
 
 
+def test_the_proposed_image_counts_in_a_row_of_its_own() -> None:
+    """Sets with it stand in for those before; one whose image was not taken counts in neither way."""
+    rivals = {"camera_psf": 9.0}
+    asks = {"next_measurement": {"sample": {}}}
+    open_, alone, exact, untaken = (
+        marked(record(verdict, "distance_error", seal=seal, **more), hiding("distance_error", rivals=rivals))
+        for verdict, seal, more in (
+            ("cannot_tell_apart", "a", asks), ("cannot_tell_apart", "b", {}), ("one_effect", "c", {}),
+            ("cannot_tell_apart", "d", asks),
+        )
+    )  # fmt: skip
+    further = marked(record("one_effect", "distance_error"), hiding("distance_error", rivals=rivals), follows="a")
+    sets = [open_, alone, exact, untaken]
+    assert counts(sets, "the same, with the proposed image") == (0, 0)
+    assert counts([*sets, further], "the same, with the proposed image") == (2, 3)
+    assert counts([*sets, further], "exact name") == (1, 4)
+
+
 def test_strengths_choose_the_rows() -> None:
     """Detection at 8 sigma counts sets of 8 sigma; a fit that is not trusted has detected nothing."""
     sets = [
