@@ -27,7 +27,14 @@ DRAWN = 60
 """Misses whose residuals are drawn; the others are in the table."""
 DARK = 0.6
 """Share of a row from which its cell is too dark for ink."""
-WORDS = {"shown": "shown", "met": "met", "short": "falls short", "no sets": "no sets", "": NOTHING}
+WORDS = {
+    "shown": "shown",
+    "met": "met",
+    "short": "falls short",
+    "open": "too few sets",
+    "no sets": "no sets",
+    "": NOTHING,
+}
 
 
 def draw(document: Document, arrays: Arrays, path: Path) -> None:

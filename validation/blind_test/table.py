@@ -41,12 +41,14 @@ class Row:
 
     @property
     def said(self) -> str:
-        """shown, met, short; no sets; nothing for a row without a target."""
+        """shown, met, short; open where too few sets say; no sets; nothing for a row without a target."""
         if self.value is None or self.low is None or self.high is None:
             return "no sets"
         if self.least is None and self.most is None:
             return ""
         least, most = self.least or 0.0, np.inf if self.most is None else self.most
+        if self.most is not None and self.value < least <= self.high:  # e.g. no alarm in 40 sets
+            return "open"
         if not least <= self.value <= most:
             return "short"
         return "shown" if least <= self.low and self.high <= most else "met"

@@ -174,7 +174,7 @@ def test_alarms_draw_whole_truths_again() -> None:
     assert one.high is not None
     assert one.high > spread.high + 0.02
     assert alarms(sets([])).high == pytest.approx(interval(0, 400)[1])
-    assert alarms([]).said == "no sets"
+    assert (alarms([]).said, alarms(sets([])).said, one.said) == ("no sets", "open", "short")
     assert replace(spread, value=0.01, low=0.003, high=0.019).said == "shown"
 
 
