@@ -193,8 +193,8 @@ class Confused:
 
     @classmethod
     def of(cls, pairs: Sequence[tuple[str, str]]) -> Confused:
-        """From (truth, said); what is a truth, too, comes first among the columns, in the same order."""
-        rows = tuple(sorted({truth for truth, _ in pairs}))
+        """From (truth, said); those outside are the last rows, what is a truth, too, the first columns."""
+        rows = tuple(sorted({truth for truth, _ in pairs}, key=lambda one: (one.startswith("outside"), one)))
         said = {one for _, one in pairs}
         columns = (*(one for one in rows if one in said), *sorted(said - set(rows)))
         counts = tuple(tuple(pairs.count((row, column)) for column in columns) for row in rows)
