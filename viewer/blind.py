@@ -133,7 +133,8 @@ def _misses(document: Document, arrays: Arrays) -> Iterator[str]:
         return
     yield paragraph(
         "A miss: something said where nothing is hidden, nothing or another group said of a known effect, a name for"
-        " what is outside of the catalogue. Residuals are measured minus model in sigma; below, those with the effect that was named."
+        " what is outside of the catalogue. Residuals are measured minus model in sigma; below, those with the effect"
+        " that was named."
     )
     for one in misses[:DRAWN]:
         maps = maps_of(one, arrays)
