@@ -170,7 +170,7 @@ def residual_picture(rows: Sequence[Mapping[str, NDArray[Any]]], below: str) -> 
     """Maps beside each other on one scale, ±4 sigma, noise alone at the end of the first row."""
     like = next(iter(rows[0].values()))
     noise = np.random.default_rng(NOISE_SEED).standard_normal(like.shape)
-    shown = [rows[0] | {"noise alone": np.where(np.isfinite(like), noise, np.nan)}, *rows[1:]]
+    shown = [{**rows[0], "noise alone": np.where(np.isfinite(like), noise, np.nan)}, *rows[1:]]
     across = len(shown[0])
     with rc_context(TEXT):
         figure = Figure(figsize=(1.45 * across, 1.68 * len(shown)))
