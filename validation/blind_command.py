@@ -1,4 +1,4 @@
-"""`luxloop blind make|diagnose|score`: hide effects, let the diagnosis find them, open the seals and count."""
+"""`luxloop blind make|diagnose|measure|score`: hide effects, let the diagnosis find them, open the seals, count."""
 
 from __future__ import annotations
 
@@ -106,6 +106,22 @@ def diagnose(
         "verdicts": dict(verdicts.most_common()),
     }  # fmt: skip
     typer.echo(json.dumps(document) if as_json else "\n".join(told.judged(document)))
+
+
+def measure(
+    folder: Folder,
+    out: Annotated[Path, typer.Argument(metavar="OUT", help="Folder for the sets with one image more.")],
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Take the images that verdicts proposed, of the same truths; diagnose OUT, then score both folders."""
+    from validation.blind_test import told
+    from validation.blind_test.further import measure as measured
+
+    with bar(as_json or quiet) as heard:
+        index = measured(folder, out, heard)
+    document = {"folder": str(out), "of": str(folder), "sets": len(index.sets)}
+    typer.echo(json.dumps(document) if as_json else "\n".join(told.measured(document)))
 
 
 def score(

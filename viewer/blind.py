@@ -27,7 +27,14 @@ DRAWN = 60
 """Misses whose residuals are drawn; the others are in the table."""
 DARK = 0.6
 """Share of a row from which its cell is too dark for ink."""
-WORDS = {"shown": "shown", "met": "met", "short": "falls short", "no sets": "no sets", "": NOTHING}
+WORDS = {
+    "shown": "shown",
+    "met": "met",
+    "short": "falls short",
+    "open": "too few sets",
+    "no sets": "no sets",
+    "": NOTHING,
+}
 
 
 def draw(document: Document, arrays: Arrays, path: Path) -> None:
@@ -126,14 +133,16 @@ def _misses(document: Document, arrays: Arrays) -> Iterator[str]:
         return
     yield paragraph(
         "A miss: something said where nothing is hidden, nothing or another group said of a known effect, a name for"
-        " what is outside of the catalogue. Residuals are measured minus model in sigma; the last map is noise alone."
+        " what is outside of the catalogue. Residuals are measured minus model in sigma; below, those with the effect"
+        " that was named."
     )
     for one in misses[:DRAWN]:
         maps = maps_of(one, arrays)
         yield f"<h3>{html.escaped(one['id'])}: {html.escaped(one['truth'])}</h3>"
         yield paragraph(f"{_strength(one)} Said: {one['sentence']}")
         if maps:
-            yield html.figure(residual_picture(maps), f"Residuals of {one['id']}", "Residuals in sigma, ±4.")
+            picture = residual_picture(maps, f"with {one['said']}")
+            yield html.figure(picture, f"Residuals of {one['id']}", "Residuals in sigma, ±4.")
     if len(misses) > DRAWN:
         yield paragraph(f"{len(misses) - DRAWN} more are in the table of all sets.")
 
@@ -146,34 +155,32 @@ def _strength(one: Document) -> str:
     return f"Hidden: {what}; {one['sigma']:.1f} sigma{beside}."
 
 
-def maps_of(one: Document, arrays: Arrays) -> dict[str, NDArray[Any]]:
-    """The residuals of a set by title."""
+def maps_of(one: Document, arrays: Arrays) -> list[dict[str, NDArray[Any]]]:
+    """The residuals of a set by shot: without any effect, then, where one was named, with it."""
     before = f"{one['folder']}/{one['id']}/"
-    titles = {"z": "", "z_with": f" with {one['said']}"}
-    return {
-        f"{shot}{titles[kind]}": array
-        for name, array in arrays.items()
-        if name.startswith(before)
-        for shot, _, kind in [name.removeprefix(before).rpartition("/")]
-    }
+    found: dict[str, dict[str, NDArray[Any]]] = {"z": {}, "z_with": {}}
+    for name, array in arrays.items():
+        if name.startswith(before):
+            shot, _, kind = name.removeprefix(before).rpartition("/")
+            found[kind][shot] = array
+    return [maps for maps in found.values() if maps]
 
 
-def residual_picture(maps: Mapping[str, NDArray[Any]]) -> bytes:
-    """Maps beside each other on one scale, noise alone as the last of them."""
-    shown = dict(maps)
-    like = next(iter(maps.values()))
+def residual_picture(rows: Sequence[Mapping[str, NDArray[Any]]], below: str) -> bytes:
+    """Maps beside each other on one scale, ±4 sigma, noise alone at the end of the first row."""
+    like = next(iter(rows[0].values()))
     noise = np.random.default_rng(NOISE_SEED).standard_normal(like.shape)
-    shown["noise alone"] = np.where(np.isfinite(like), noise, np.nan)
-    across = min(len(shown), 7)
-    down = -(-len(shown) // across)
+    shown = [{**rows[0], "noise alone": np.where(np.isfinite(like), noise, np.nan)}, *rows[1:]]
+    across = len(shown[0])
     with rc_context(TEXT):
-        figure = Figure(figsize=(1.45 * across, 1.62 * down))
-        for number, (title, z) in enumerate(shown.items()):
-            axes = figure.add_subplot(down, across, number + 1)
-            axes.imshow(z, origin="lower", cmap=RESIDUALS, interpolation="none", vmin=-SCALE, vmax=SCALE)
-            axes.set_axis_off()
-            axes.set_title(title, fontsize=6)
-        figure.subplots_adjust(0.01, 0.01, 0.99, 0.9, 0.05, 0.2)
+        figure = Figure(figsize=(1.45 * across, 1.68 * len(shown)))
+        for down, maps in enumerate(shown):
+            for number, (shot, z) in enumerate(maps.items()):
+                axes = figure.add_subplot(len(shown), across, down * across + number + 1)
+                axes.imshow(z, origin="lower", cmap=RESIDUALS, interpolation="none", vmin=-SCALE, vmax=SCALE)
+                axes.set_axis_off()
+                axes.set_title(f"{shot}, {below}" if down and not number else shot, fontsize=6.5)
+        figure.subplots_adjust(0.01, 0.01, 0.99, 0.92, 0.05, 0.12)
         return svg(figure)
 
 

@@ -171,8 +171,9 @@ class Marked:
             "verdict": self.verdict, "set": list(self.named), "sigma": self.answer.sigma,
             "asked_sigma": self.answer.asked_sigma, "sigma_rival": self.sigma_rival, "missed": self.is_missed,
             "hidden": [one.model_dump(mode="json", exclude={"rivals"}) for one in self.answer.hidden],
-            "sentence": self.record["sentence"], "p_structure": self.record["structure"]["p"],
-            "p_scores": self.record["scores_p"], "light": self.answer.light,
+            "sentence": self.record["sentence"], "follows": self.answer.follows,
+            "p_structure": self.record["structure"]["p"], "p_scores": self.record["scores_p"],
+            "light": self.answer.light,
             "seconds_made": self.answer.seconds, "seconds_diagnosed": self.record["seconds"],
         }  # fmt: skip
 

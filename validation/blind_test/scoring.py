@@ -22,19 +22,20 @@ def score(folders: Sequence[Path]) -> dict[str, Any]:
     """Everything that is told; seals are opened. Raises InputError as `marks.marked` does."""
     sets = marked(folders)
     rows = table(sets)
-    hidden = [one for one in sets if not one.is_nothing and not one.is_two]
+    first = [one for one in sets if not one.answer.follows]
+    hidden = [one for one in first if not one.is_nothing and not one.is_two]
     return {
         "folders": [str(folder) for folder in folders],
         "sets": len(sets),
         "without_verdict": sum(len(read_index(folder).sets) for folder in folders) - len(sets),
-        "sentence": sentence(rows, len(sets)),
+        "sentence": sentence(rows, len(first)),
         "table": [row.document() for row in rows],
         "confusion": {
             "effects": Confused.of([(one.truth, one.said) for one in hidden]).document(),
             "groups": Confused.of([(_group(one), group_of(one.said)) for one in hidden]).document(),
         },
         "groups": {group: list(names) for group, names in GROUPS.items()},
-        "misses": [one.document() for one in sets if one.is_missed],
+        "misses": [one.document() for one in first if one.is_missed],
         "marks": [one.document() for one in sets],
         "too_weak": _weak(folders),
         "seconds": {

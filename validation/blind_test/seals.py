@@ -50,6 +50,7 @@ class Answer(Words):
     seed: int
     histories: int
     dataset_sha256: Sha256
+    follows: str = Field("", description="Seal of the set that this one has an image more than; none: of no other.")
     version: str = __version__
     seconds: float = Field(description="That it took to make, its share of the light included.")
 

@@ -8,7 +8,7 @@ bootstrap). Rows without sets stay in the table.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -41,12 +41,14 @@ class Row:
 
     @property
     def said(self) -> str:
-        """shown, met, short; no sets; nothing for a row without a target."""
+        """shown, met, short; open where too few sets say; no sets; nothing for a row without a target."""
         if self.value is None or self.low is None or self.high is None:
             return "no sets"
         if self.least is None and self.most is None:
             return ""
         least, most = self.least or 0.0, np.inf if self.most is None else self.most
+        if self.most is not None and self.value < least <= self.high:  # e.g. no alarm in 40 sets
+            return "open"
         if not least <= self.value <= most:
             return "short"
         return "shown" if least <= self.low and self.high <= most else "met"
@@ -69,6 +71,8 @@ def interval(hits: int, of: int, level: float = LEVEL) -> tuple[float, float]:
 
 def table(sets: Sequence[Marked]) -> list[Row]:
     """All rows of DIAGNOSIS section 5."""
+    later = {each.answer.follows: each for each in sets if each.answer.follows}
+    sets = [each for each in sets if not each.answer.follows]
     one = [each for each in sets if each.is_one]
     strong = [each for each in one if _at_least(each, 20.0)]
     apart = [each for each in one if each.told_apart]
@@ -77,12 +81,14 @@ def table(sets: Sequence[Marked]) -> list[Row]:
     two = [each for each in sets if each.is_two]
     pulls = [each.size_pull for each in one if each.size_pull is not None]
     falls = [each.held_out[0] for each in one if each.held_out[0] is not None]
+    further = [later.get(each.record["seal"], each) for each in apart if later and not _is_open(each, later)]
     others = [fell for each in one for fell in each.held_out[1]]
     return [
         alarms([each for each in sets if each.is_nothing]),
         _share("detection at 8 sigma", [each for each in one if _at(each, 8.0)], lambda each: each.is_seen, 0.95),
         _share("detection at 20 sigma or more", strong, lambda each: each.is_seen, None),
         _share("exact name, sigma_rival >= 5", apart, lambda each: each.is_exact, 0.8),
+        _share("the same, with the proposed image", further, lambda each: each.is_exact, 0.9),
         _share(
             "cannot_tell_apart, sigma_rival < 5", alike, lambda each: each.verdict == "cannot_tell_apart", 0.9
         ),
@@ -152,6 +158,11 @@ def _counted(quantity: str, hits: Sequence[bool], least: float | None, most: flo
     return Row(quantity, target, count, len(hits), count / len(hits), *interval(count, len(hits)), least, most)
 
 
+def _is_open(one: Marked, later: Mapping[str, Marked]) -> bool:
+    """Whether an image was proposed that was not taken, or has no verdict yet."""
+    return one.record["next_measurement"] is not None and one.record["seal"] not in later
+
+
 def _none_of_the_known(one: Marked) -> bool:
     return one.verdict == "none_of_the_known"
 
@@ -182,8 +193,8 @@ class Confused:
 
     @classmethod
     def of(cls, pairs: Sequence[tuple[str, str]]) -> Confused:
-        """From (truth, said); what is a truth, too, comes first among the columns, in the same order."""
-        rows = tuple(sorted({truth for truth, _ in pairs}))
+        """From (truth, said); those outside are the last rows, what is a truth, too, the first columns."""
+        rows = tuple(sorted({truth for truth, _ in pairs}, key=lambda one: (one.startswith("outside"), one)))
         said = {one for _, one in pairs}
         columns = (*(one for one in rows if one in said), *sorted(said - set(rows)))
         counts = tuple(tuple(pairs.count((row, column)) for column in columns) for row in rows)

@@ -29,6 +29,13 @@ def judged(document: Document) -> Iterator[str]:
     yield f"next: luxloop blind score {document['folder']}"
 
 
+def measured(document: Document) -> Iterator[str]:
+    """What was taken, and what comes next."""
+    folder, of = document["folder"], document["of"]
+    yield f"{folder}: {document['sets']} sets of {of} with the image that their verdict proposed"
+    yield f"next: luxloop blind diagnose {folder}, then luxloop blind score {of} {folder}"
+
+
 def scored(document: Document) -> Iterator[str]:
     """The table, who was taken for whom by group, the misses."""
     yield document["sentence"]

@@ -37,7 +37,8 @@ def record(verdict: str, *named: str, **changes: Any) -> dict[str, Any]:
         "verdict": verdict, "sentence": f"{verdict}: {', '.join(named)}", "set": list(named), "groups": [],
         "effects": [], "added": [{"name": name} for name in named[:1]], "seconds": 30.0, "first_of_light": True,
         "structure": {"p": 0.001}, "scores_p": 0.001, "dataset_sha256": DATA,
-        "known": 32, "among": [], "solver": {"method": "twin", "histories": None, "seed": 1},
+        "seal": "", "next_measurement": None, "known": 32, "among": [],
+        "solver": {"method": "twin", "histories": None, "seed": 1},
     } | changes  # fmt: skip
 
 

@@ -63,6 +63,7 @@ def plan(tmp_path: Path) -> Path:
         (("make", "full"), "an empty folder"),
         (("make", "out", "--plan", "no-plan.toml"), "--plan"),
         (("diagnose", "nowhere"), "luxloop blind make FOLDER makes one"),
+        (("measure", "sealed", "out"), "only verdicts that cannot tell effects apart"),
         (("score", "nowhere"), "luxloop blind make FOLDER makes one"),
         (("score", "full"), "luxloop blind make FOLDER makes one"),
         (("score", "sealed"), "luxloop blind diagnose sealed comes first"),
@@ -176,7 +177,7 @@ def test_a_blind_test_over_real_processes(settings: Settings, plan: Path, tmp_pa
     document = json.loads(scored.stdout)
     assert document["sets"] == 2
     assert sorted(one["truth"] for one in document["marks"]) == ["ambient_gradient", "outside: smear"]
-    assert len(document["table"]) == 15
+    assert len(document["table"]) == 16
     page = (tmp_path / "score.html").read_text(encoding="utf-8")
     assert document["sentence"] in page
     assert all(one["id"] in page for one in document["marks"])

@@ -73,6 +73,24 @@ def test_exact_names_count_where_the_data_can_tell() -> None:
     assert row(sets, "mean size").value == pytest.approx(7 / 5)
 
 
+def test_the_proposed_image_counts_in_a_row_of_its_own() -> None:
+    """Sets with it stand in for those before; one whose image was not taken counts in neither way."""
+    rivals = {"camera_psf": 9.0}
+    asks = {"next_measurement": {"sample": {}}}
+    open_, alone, exact, untaken = (
+        marked(record(verdict, "distance_error", seal=seal, **more), hiding("distance_error", rivals=rivals))
+        for verdict, seal, more in (
+            ("cannot_tell_apart", "a", asks), ("cannot_tell_apart", "b", {}), ("one_effect", "c", {}),
+            ("cannot_tell_apart", "d", asks),
+        )
+    )  # fmt: skip
+    further = marked(record("one_effect", "distance_error"), hiding("distance_error", rivals=rivals), follows="a")
+    sets = [open_, alone, exact, untaken]
+    assert counts(sets, "the same, with the proposed image") == (0, 0)
+    assert counts([*sets, further], "the same, with the proposed image") == (2, 3)
+    assert counts([*sets, further], "exact name") == (1, 4)
+
+
 def test_strengths_choose_the_rows() -> None:
     """Detection at 8 sigma counts sets of 8 sigma; a fit that is not trusted has detected nothing."""
     sets = [
@@ -156,7 +174,7 @@ def test_alarms_draw_whole_truths_again() -> None:
     assert one.high is not None
     assert one.high > spread.high + 0.02
     assert alarms(sets([])).high == pytest.approx(interval(0, 400)[1])
-    assert alarms([]).said == "no sets"
+    assert (alarms([]).said, alarms(sets([])).said, one.said) == ("no sets", "open", "short")
     assert replace(spread, value=0.01, low=0.003, high=0.019).said == "shown"
 
 

@@ -1,0 +1,88 @@
+"""The image that a verdict asked for: of the same truth, in a set of its own, with the images that there were."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from luxloop.errors import InputError
+from luxloop.model_file import find_model
+from tests.validation.blind_test.pretend import record
+from tests.validation.blind_test.test_blind_command import HISTORIES, PIXELS, PLAN
+from validation.blind_test.folders import ANSWERS, SETS, VERDICTS, write_whole
+from validation.blind_test.further import measure
+from validation.blind_test.making import Asked, begin, make
+from validation.blind_test.seals import opened
+from validation.blind_test.truths import Counts
+from validation.dataset.folder import read_dataset
+from validation.dataset.images import read_tiff
+from validation.dataset.simulation_plan import read_plan
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Three sets; the verdicts on two of them propose an image: of a new sample, and of one once more."""
+    (tmp_path / "plan.toml").write_text(PLAN)
+    plan = read_plan(tmp_path / "plan.toml")
+    asked = Asked(tmp_path / "sets", Counts(3, nothing=3, draws=3), 4, 20.0, plan, find_model("paper"), (), PIXELS,
+                  HISTORIES)  # fmt: skip
+    nobody: Any = None
+    make(begin(asked), nobody, nobody)
+    mirror = plan.samples[1].model_dump(mode="json", exclude_defaults=True)
+    for name, sample in (("set-1", mirror | {"id": "next", "distance_um": 60.0}), ("set-2", mirror), ("set-3", None)):
+        proposal = None if sample is None else {"sample": sample}
+        sealed = json.loads((asked.folder / SETS / name / "seal.json").read_text())["sha256"]
+        data = read_dataset(asked.folder / SETS / name).sha256
+        said = record("cannot_tell_apart", seal=sealed, dataset_sha256=data, next_measurement=proposal)
+        write_whole(asked.folder / VERDICTS / f"{name}.json", said)
+    return asked.folder
+
+
+def test_a_further_image_is_of_the_same_truth(folder: Path, tmp_path: Path) -> None:
+    """Old images byte for byte, a new one as bright; sealed anew, with the seal of the set that it follows."""
+    out = tmp_path / "further"
+    index = measure(folder, out)
+    assert [one.id for one in index.sets] == ["set-1", "set-2"]
+    for name, frames in (("set-1", 1), ("set-2", 4)):
+        old, new = read_dataset(folder / SETS / name), read_dataset(out / SETS / name)
+        assert new.manifest.shots[:2] == old.manifest.shots
+        for shot in old.manifest.images():
+            assert new.path(shot.file).read_bytes() == old.path(shot.file).read_bytes()
+        shot = new.manifest.images()[2]
+        assert shot.frames_averaged == frames
+        image = read_tiff(new.path(shot.file), shot.file).values
+        assert image.shape == (PIXELS, PIXELS)
+        assert 0.75 < (float(image.max()) - 64.0) / 3800.0 < 0.95
+        before = json.loads((folder / VERDICTS / f"{name}.json").read_text())
+        sealed = json.loads((out / SETS / name / "seal.json").read_text())["sha256"]
+        after = opened(out, name, {"seal": sealed, "dataset_sha256": new.sha256})
+        assert after.follows == before["seal"] != sealed
+        assert after.truth == opened(folder, name, before).truth
+    again = read_dataset(out / SETS / "set-2").manifest
+    assert len(again.samples) == 2
+    mirror, once_more = (
+        read_tiff(out / SETS / "set-2" / file, file).values.astype(float)
+        for file in ("images/mirror.tif", "images/further-mirror.tif")
+    )
+    assert np.corrcoef(mirror.ravel(), once_more.ravel())[0, 1] > 0.95  # the same image, but for its place
+
+
+def test_it_goes_on_and_refuses_other_sets(folder: Path, tmp_path: Path) -> None:
+    """What is there stays; verdicts that ask for nothing are said; a truth of another seed is found."""
+    out = tmp_path / "further"
+    measure(folder, out)
+    kept = (out / SETS / "set-1" / "seal.json").read_bytes()
+    assert measure(folder, out) == measure(folder, out)
+    assert (out / SETS / "set-1" / "seal.json").read_bytes() == kept
+    with pytest.raises(InputError, match="verdicts that propose an image"):
+        measure(out, tmp_path / "nothing")
+    path = folder / ANSWERS / "set-1.json"
+    data = json.loads(path.read_text())
+    data["answer"]["seed"] += 1
+    path.write_text(json.dumps(data))
+    with pytest.raises(InputError, match="changed after it was sealed"):
+        measure(folder, tmp_path / "other")
