@@ -59,7 +59,7 @@ _CHIP = (
 )  # fmt: skip
 _MODULE = (
     _known("slant_response", "module", "receiver_btdf", "", 0.0, 0.4,
-           "The receiver records cos^a of the angle of incidence on it, beside Lambert's own: a slanting loss."),
+           "The receiver records light times cos^2a of its angle of incidence: it loses more of what comes aslant."),
     _known("glossy_receiver", "module", "receiver_specular", "", 0.0, 0.1,
            "The receiver's face reflects this share at normal incidence, more aslant by Schlick's formula (1994)."),
     _known("second_lobe", "module", "substrate_lobe", "", 0.0, 1.0,
@@ -96,7 +96,7 @@ _MODULE = (
 _OUTSIDE_OPTICS = (
     _outside("ghost_image", "optics", "", 0.1,
              "A share of the image appears again, upside down, 0.8 as large and blurred: two lens faces reflect."),
-    _outside("lateral_colour", "optics", "", 0.02,
+    _outside("lateral_colour", "optics", "", 0.06,
              "The scale spreads over the line by this share either way: lateral colour smears along the radius."),
     _outside("coma", "optics", "um", 120.0,
              "Points have a tail along x, this long at the upper edge, the other way at the lower: coma."),

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import fft
+from scipy import fft, ndimage
 
 from validation.blind.words import Real
 
@@ -73,6 +73,19 @@ def symmetric(tally: Real) -> Real:
     even = tally + tally[:, ::-1]
     even = even + even[:, :, ::-1]
     return np.asarray((even + even.transpose(0, 2, 1)) / 8.0)
+
+
+def mirrored(tally: Real) -> Real:
+    """The mean of maps (plane, y, x) and their mirror images in y."""
+    return np.asarray((tally + tally[:, ::-1]) / 2.0)
+
+
+def turned(light: Real, grid: Grid, angle_rad: float) -> Real:
+    """Smooth maps (plane, y, x) turned about the origin, x towards y."""
+    y, x = grid.at_um[:, None] / grid.step_um, grid.at_um / grid.step_um
+    cos, sin, middle = np.cos(angle_rad), np.sin(angle_rad), grid.size // 2 - 0.5
+    at = [y * cos - x * sin + middle, x * cos + y * sin + middle]
+    return np.stack([ndimage.map_coordinates(one, at, order=5, mode="nearest") for one in light])
 
 
 def laid(light: Real, grid: Grid, places_um: Real, power: Real) -> Real:

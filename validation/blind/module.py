@@ -10,7 +10,6 @@ nothing but chips only rays that meet another chip or the edge count.
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Sequence
-from typing import NamedTuple
 
 import numpy as np
 
@@ -21,6 +20,7 @@ from validation.blind.kinds import acting
 from validation.blind.optics import image_of
 from validation.blind.scenes import (
     FILMS,
+    LEFT_AND_RIGHT,
     LOPSIDED_CHIPS,
     LOPSIDED_GROUND,
     OF_SEVERAL,
@@ -39,6 +39,8 @@ SETTLED = 1e-7
 CHANGE = 2e-4
 """Of all light: below that the next pass of the bounces is the last."""
 MOST_PASSES = 8
+LOPSIDED_TIMES = 3
+"""As many histories of a chip whose light lacks the eight symmetries."""
 CHIP, KERNEL, FIRST, BOUNCE = range(4)
 """What a seed is drawn for."""
 PER_UM2 = 1e6
@@ -72,14 +74,6 @@ def light_of(
     return images
 
 
-class _Traced(NamedTuple):
-    """A chip alone."""
-
-    body: Body
-    half_um: float
-    light: Real
-
-
 class Tracer:
     """Traces samples; what they share is traced once."""
 
@@ -92,7 +86,7 @@ class Tracer:
         self._kept: dict[Hashable, Real] = {}
         self._bodies: dict[Hashable, Body] = {}
         self._planes = 2 if there.keys() & {"slant_response", "glossy_receiver"} else 1
-        self._slant = there["slant_response"].amount if "slant_response" in there else 0.0
+        self._slant = 2.0 * there["slant_response"].amount if "slant_response" in there else 0.0
 
     def light(self, sample: Sample) -> tuple[Real, maps.Grid]:
         """What the receiver of a sample records, (y, x) per um^2 and flux of one chip, and where."""
@@ -133,31 +127,41 @@ class Tracer:
         chip and the difference that the hidden thing makes, so that noise goes with the difference.
         """
         key = (grid, sample.distance_um, sample.dbr_pairs, sample.thickness_um, x_um, half)
-        if key not in self._kept:
-            body, above = self._body(sample, self._there, x_um), lone(ground, half)
-            lopsided = bool(self._there.keys() & LOPSIDED_CHIPS)
-            plain = self._body(sample, {}, 0.0)
-            if not lopsided and body.sphere == plain.sphere:
-                found = maps.symmetric(self._traced_alone(body, above, grid))
-            else:
-                flat = lone(ground_of(self._surroundings, sample, layout_of(sample, {}), {}), half)
-                flat = flat._replace(distance=above.distance)
-                base = self._traced_alone(plain, flat, grid)
-                alike = plain._replace(sphere=body.sphere)
-                other = base if alike.sphere == plain.sphere else self._traced_alone(alike, flat, grid)
-                change = self._traced_alone(body, above, grid) - other
-                found = maps.symmetric(base) + (change if lopsided else maps.symmetric(change))
-            self._kept[key] = maps.smooth(found, grid)
-        return self._kept[key]
+        if key in self._kept:
+            return self._kept[key]
+        body, above = self._body(sample, self._there, x_um), lone(ground._replace(turn_cos=1.0, turn_sin=0.0), half)
+        plain = self._body(sample, {}, 0.0)
+        lopsided = self._there.keys() & LOPSIDED_CHIPS
+        if not lopsided and body.sphere == plain.sphere:
+            found = maps.symmetric(self._traced_alone(body, above, grid))
+        else:
+            times = LOPSIDED_TIMES if lopsided else 1
+            flat = lone(ground_of(self._surroundings, sample, layout_of(sample, {}), {}), half)
+            flat = flat._replace(distance=above.distance)
+            base = self._traced_alone(plain, flat, grid, times)
+            alike = plain._replace(sphere=body.sphere)
+            other = base if alike.sphere == plain.sphere else self._traced_alone(alike, flat, grid, times)
+            change = self._traced_alone(body, above, grid, times) - other
+            if not lopsided:
+                change = maps.symmetric(change)
+            elif lopsided <= LEFT_AND_RIGHT:
+                change = maps.mirrored(change)
+            found = maps.symmetric(base) + change
+        found = maps.smooth(found, grid)
+        if ground.turn_sin != 0.0:
+            found = maps.turned(found, grid, float(np.arctan2(ground.turn_sin, ground.turn_cos)))
+        self._kept[key] = found
+        return found
 
-    def _traced_alone(self, body: Body, ground: Ground, grid: maps.Grid) -> Real:
+    def _traced_alone(self, body: Body, ground: Ground, grid: maps.Grid, times: int = 1) -> Real:
         tally = np.zeros((self._planes, grid.size, grid.size))
         steps, shift = maps.recurrence(tracing.POINTS, (self._seed, CHIP))
+        count = times * self._histories
         tracing.lone_chip(
-            ground, body, self._slant, np.uint64(self._seed * 8 + CHIP), 0, self._histories, steps, shift,
-            grid.step_um, tally, tracing.scratch(),
+            ground, body, self._slant, np.uint64(self._seed * 8 + CHIP), 0, count, steps, shift, grid.step_um, tally,
+            tracing.scratch(),
         )  # fmt: skip
-        return tally / self._histories
+        return tally / count
 
     def _change_of_first(
         self, sample: Sample, layout: Layout, ground: Ground, body: Body, grid: maps.Grid
@@ -166,21 +170,35 @@ class Tracer:
         even = not self._there.keys() & UNEVEN_GROUND
         if sample.chips == 1 and even:
             return 0.0
-        count = self._histories // 4 if even else self._histories
-        tally = np.zeros((self._planes, grid.size, grid.size))
+        count = max(1, self._histories // 4 if even else self._histories)
         steps, shift = maps.recurrence(tracing.POINTS, (self._seed, FIRST))
-        tracing.module_change(
-            ground, lone(ground, float(layout.halves_um[0])), body, even, layout.power, self._slant,
-            np.uint64(self._seed * 8 + FIRST), 0, max(1, count), steps, shift, grid.step_um, tally, tracing.scratch(),
-        )  # fmt: skip
-        return maps.smooth(self._even(sample, tally) / max(1, count), grid)
 
-    def _even(self, sample: Sample, tally: Real) -> Real:
-        """Symmetric where the module is."""
+        def traced(layout: Layout, ground: Ground, body: Body, even: bool) -> Real:
+            tally = np.zeros((self._planes, grid.size, grid.size))
+            tracing.module_change(
+                ground, lone(ground, float(layout.halves_um[0])), body, even, layout.power, self._slant,
+                np.uint64(self._seed * 8 + FIRST), 0, count, steps, shift, grid.step_um, tally, tracing.scratch(),
+            )  # fmt: skip
+            return tally / count
+
+        found = traced(layout, ground, body, even)
+        if self._symmetric(sample):
+            return maps.smooth(maps.symmetric(found), grid)
+        if sample.rows == sample.columns:
+            flat, plain = self._plain(sample, ground)
+            base = traced(layout_of(sample, {}), flat, plain, True)
+            found = maps.symmetric(base) + found - base
+        return maps.smooth(found, grid)
+
+    def _plain(self, sample: Sample, ground: Ground) -> tuple[Ground, Body]:
+        """The sample with nothing hidden but its distance: its changes are symmetric, and share random numbers."""
+        flat = ground_of(self._surroundings, sample, layout_of(sample, {}), {})
+        return flat._replace(distance=ground.distance), self._body(sample, {}, 0.0)
+
+    def _symmetric(self, sample: Sample) -> bool:
+        """Whether the module has the symmetries of the square."""
         lopsided = LOPSIDED_CHIPS | LOPSIDED_GROUND | (OF_SEVERAL if sample.chips > 1 else set())
-        if sample.rows != sample.columns or self._there.keys() & lopsided:
-            return tally
-        return maps.symmetric(tally)
+        return sample.rows == sample.columns and not self._there.keys() & lopsided
 
     def _kernel(self, ground: Ground, body: Body, grid: maps.Grid) -> Real:
         """The transform (plane, ky, kx) of what one bounce makes of light at a point, per flux that bounces."""
@@ -218,15 +236,24 @@ class Tracer:
         """What the module changes of one bounce of the light (y, x) that the receiver sends back."""
         source, count = np.maximum(light, 0.0), max(1, count)
         rows, columns = maps.cumulative(source)
-        even = not self._there.keys() & UNEVEN_GROUND
-        tally = np.zeros((self._planes, grid.size, grid.size))
         steps, shift = maps.recurrence(tracing.POINTS, (self._seed, BOUNCE))
-        tracing.bounce_change(
-            ground, bare(ground), body, even, self._slant, np.uint64(self._seed * 8 + BOUNCE), 0, count, steps, shift,
-            grid.step_um, source, rows, columns, tally, tracing.scratch(),
-        )  # fmt: skip
+
+        def traced(ground: Ground, body: Body, even: bool) -> Real:
+            tally = np.zeros((self._planes, grid.size, grid.size))
+            tracing.bounce_change(
+                ground, bare(ground), body, even, self._slant, np.uint64(self._seed * 8 + BOUNCE), 0, count, steps,
+                shift, grid.step_um, source, rows, columns, tally, tracing.scratch(),
+            )  # fmt: skip
+            return tally / count
+
+        found = traced(ground, body, not self._there.keys() & UNEVEN_GROUND)
+        if self._symmetric(sample):
+            found = maps.symmetric(found)
+        elif sample.rows == sample.columns:
+            base = traced(*self._plain(sample, ground), True)
+            found = maps.symmetric(base) + found - base
         flux = source.sum() * grid.step_um**2 * self._surroundings.receiver_reflectance
-        return maps.smooth(self._even(sample, tally) * (flux / count), grid)
+        return maps.smooth(found * flux, grid)
 
 
 def _settled(first: Real, reflectance: float, inside: Real, transform: Real) -> Real:

@@ -26,9 +26,12 @@ FILMS = frozenset(
     ("lossy_layers", "oscillator_dispersion", "porous_aln", "swapped_layers", "interdiffused_layers", "growth_drift",
      "growth_wedge")
 )  # fmt: skip
-LOPSIDED_CHIPS = frozenset(("current_tail", "round_pad", "tilted_chips", "turned_chips", "metal_side"))
-"""Their light lacks the symmetries of the square."""
-LOPSIDED_GROUND = frozenset(("wedged_spacer", "saddle_substrate", "one_sided_bezel", "substrate_slope"))
+LEFT_AND_RIGHT = frozenset(("current_tail", "tilted_chips", "metal_side"))
+LOPSIDED_CHIPS = LEFT_AND_RIGHT | {"round_pad"}
+"""Their light lacks the symmetries of the square; that of the first is still its own mirror image in y."""
+LOPSIDED_GROUND = frozenset(
+    ("turned_chips", "wedged_spacer", "saddle_substrate", "one_sided_bezel", "substrate_slope")
+)
 OF_SEVERAL = frozenset(("binning", "weak_chip", "shaken_chips", "chip_sizes", "growth_wedge"))
 """A single chip has none of these."""
 UNEVEN_GROUND = frozenset(

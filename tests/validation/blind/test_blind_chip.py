@@ -46,8 +46,8 @@ LOSSLESS = {"substrate_reflectance": 1.0, "chip_absorption_per_cm": 0.0}
 
 def test_in_a_white_furnace_all_light_leaves() -> None:
     """Nothing absorbs and the substrate scatters: all that is born comes to the receiver."""
-    found = landed({}, chip_bottom="contact", active_layer_depth=None, **LOSSLESS)
-    assert found.sum() == pytest.approx(1.0, abs=4e-3)
+    found = landed({}, 15_000, chip_bottom="contact", active_layer_depth=None, **LOSSLESS)
+    assert found.sum() == pytest.approx(1.0, abs=6e-3)
 
 
 @pytest.mark.parametrize("bottom", ["contact", "mirror"])
@@ -98,7 +98,8 @@ def test_the_lobe_is_the_specifications() -> None:
     into = np.array([0.6, 0.0, 0.8])
     angle = [np.arccos(min(1.0, float(into @ lobe(0.05, *into, u, 0.3, np.uint64(1), 0)))) for u in at]
     assert np.mean(np.square(angle)) == pytest.approx(2.0 * 0.05**2, rel=1e-2)
-    mean = np.mean([cosine_law(u, v) for u in at[::40] for v in at[::40]], axis=0)
+    few = (np.arange(50) + 0.5) / 50
+    mean = np.mean([cosine_law(u, v) for u in few for v in few], axis=0)
     np.testing.assert_allclose(mean, [0.0, 0.0, 2.0 / 3.0], atol=1e-3)
     down = [lobe(0.5, 0.999, 0.0, 0.0447, u, v, np.uint64(2), 0)[2] for u in at[::40] for v in at[::40]]
     assert min(down) > 0.0

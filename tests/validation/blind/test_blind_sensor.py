@@ -28,9 +28,9 @@ def test_signals_are_light_times_exposure_times_gain() -> None:
 def test_what_is_hidden_changes_signals(name: str) -> None:
     """By 1 DN at least somewhere at the most, by a hundredth of that or so at a hundredth; a seed repeats it."""
     kind = KINDS[name]
-    plain = signals(LIGHT, [2.0, 2.0], 1200.0, CAMERA)
+    plain = signals(LIGHT, [2.0, 2.0], 1500.0, CAMERA)
     full, again, little = (
-        signals(LIGHT, [2.0, 2.0], 1200.0, CAMERA, [Hidden(name, share * kind.most, 3)]) for share in (1.0, 1.0, 0.01)
+        signals(LIGHT, [2.0, 2.0], 1500.0, CAMERA, [Hidden(name, share * kind.most, 3)]) for share in (1.0, 1.0, 0.01)
     )
     change = max(float(np.abs(one - other).max()) for one, other in zip(full, plain, strict=True))
     small = max(float(np.abs(one - other).max()) for one, other in zip(little, plain, strict=True))

@@ -15,6 +15,6 @@ CAMERA = Camera(
     rows=24, columns=24, pixel_um=40.0, bit_depth=12, gain_dn_per_e=0.38, read_noise_e=6.0, full_well_e=1e4,
     black_level_dn=64.0,
 )  # fmt: skip
-SINGLE = Sample("single", 1, 1, 180.0, 40.0, 400.0, 20.0, 2.5, 700.0)
+SINGLE = Sample("single", 1, 1, 180.0, 40.0, 400.0, 20.0, 2.5, 900.0)
 ARRAY = replace(SINGLE, id="array", rows=3, columns=3, module_half_um=600.0)
 STRAIGHT = [Pose(), Pose()]
