@@ -39,8 +39,8 @@ SETTLED = 1e-7
 CHANGE = 2e-4
 """Of all light: below that the next pass of the bounces is the last."""
 MOST_PASSES = 8
-LOPSIDED_TIMES = 3
-"""As many histories of a chip whose light lacks the eight symmetries."""
+MORE_TIMES = 3
+"""As many histories of a chip whose light lacks the eight symmetries, or goes by chance at its sides."""
 CHIP, KERNEL, FIRST, BOUNCE = range(4)
 """What a seed is drawn for."""
 PER_UM2 = 1e6
@@ -135,18 +135,16 @@ class Tracer:
         if not lopsided and body.sphere == plain.sphere:
             found = maps.symmetric(self._traced_alone(body, above, grid))
         else:
-            times = LOPSIDED_TIMES if lopsided else 1
+            times = MORE_TIMES if lopsided or body.ripple > 0.0 else 1
             flat = lone(ground_of(self._surroundings, sample, layout_of(sample, {}), {}), half)
             flat = flat._replace(distance=above.distance)
-            base = self._traced_alone(plain, flat, grid, times)
-            alike = plain._replace(sphere=body.sphere)
-            other = base if alike.sphere == plain.sphere else self._traced_alone(alike, flat, grid, times)
-            change = self._traced_alone(body, above, grid, times) - other
+            change = self._traced_alone(body, above, grid, times)
+            change -= self._traced_alone(plain._replace(sphere=body.sphere), flat, grid, times)
             if not lopsided:
                 change = maps.symmetric(change)
             elif lopsided <= LEFT_AND_RIGHT:
                 change = maps.mirrored(change)
-            found = maps.symmetric(base) + change
+            found = maps.symmetric(self._traced_alone(plain, flat, grid)) + change
         found = maps.smooth(found, grid)
         if ground.turn_sin != 0.0:
             found = maps.turned(found, grid, float(np.arctan2(ground.turn_sin, ground.turn_cos)))
