@@ -22,9 +22,8 @@ from agent.launch import launch
 from luxloop.campaign import Plan, Step
 from luxloop.design import Design
 from luxloop.effect import AppliedEffect
-from luxloop.errors import LuxloopError, RemoteError
+from luxloop.errors import InputError, LuxloopError, RemoteError
 from luxloop.failure import Failure
-from luxloop.errors import InputError
 from luxloop.journal.reader import RunJournal
 from luxloop.model import Model
 from luxloop.model_file import find_model, parse_toml, to_toml
