@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import secrets
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -55,8 +56,8 @@ class Answer(Words):
     seconds: float = Field(description="That it took to make, its share of the light included.")
 
 
-def seal_of(answer: Answer, salt: bytes) -> str:
-    """The hash, 64 hex digits."""
+def seal_of(answer: Answer | Mapping[str, Any], salt: bytes) -> str:
+    """The hash, 64 hex digits, of an answer or of what a file has of it."""
     return hashlib.sha256(salt + canonical(answer)).hexdigest()
 
 
@@ -93,11 +94,8 @@ def opened(folder: Path, name: str, verdict: dict[str, Any]) -> Answer:
     salt = _salt(name, data.get("salt"))
     answer = parse(Answer, data.get("answer"), str(path))
     sealed, of_verdict = seal_on(folder, name), str(verdict.get("seal"))
-    if seal_of(answer, salt) != sealed:
-        changed, mend = (
-            seal_of(answer, salt),
-            "answer or salt was changed after it was sealed: the set does not count",
-        )
+    if (changed := seal_of(data["answer"], salt)) != sealed:  # as it stands there, whatever a later version adds
+        mend = "answer or salt was changed after it was sealed: the set does not count"
         raise InputError(f"{name}: answer", changed, f"the answer whose seal is {sealed[:16]}...", mend)
     if of_verdict != sealed:
         mend = "the seal was changed after the verdict: the set does not count"

@@ -120,3 +120,16 @@ def test_a_folder_counts_once(folder: Path) -> None:
     found = score([folder, other])
     assert found["sets"] == 2
     assert [one["folder"] for one in found["misses"]] == [str(other)]
+
+
+def test_a_seal_outlives_new_words(folder: Path) -> None:
+    """An answer that lacks what a later one says is hashed as it stands."""
+    path = folder / ANSWERS / "set-1.json"
+    data = json.loads(path.read_text())
+    del data["answer"]["follows"]
+    path.write_text(json.dumps(data))
+    sealed = seal_of(data["answer"], bytes.fromhex(data["salt"]))
+    change(folder / SETS / "set-1" / SEAL, sha256=sealed)
+    change(folder / VERDICTS / "set-1.json", seal=sealed)
+    (one,) = marked([folder])
+    assert one.answer == SET
