@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -34,10 +35,11 @@ from validation.fit import (
     curves_of,
     film_parameters,
     fit,
+    image_fit,
     profile,
 )
 from validation.fit.image_fit import crossed
-from validation.fit.least_squares import reduce
+from validation.fit.least_squares import Step, reduce
 from validation.fit.parameters import Unknowns
 from validation.fit.problem import wrapped_deg
 from validation.fit.result import WANTED_NOISE, histories_for
@@ -447,3 +449,41 @@ def test_what_the_twin_cannot_represent_is_never_fitted_by_the_twin():
     alone = Spots()
     fit(walled, _data(1), alone)
     assert alone.anchors[0] is None
+
+
+def test_a_last_step_that_takes_all_light_is_not_taken(monkeypatch):
+    """A refit of blind data crashed there: an effect's sensor cannot have a gain of zero."""
+    image = _data()[0]
+    noise = {"single": 0.1 * np.sqrt(image.variance_dn2(image.signal_dn))[None] / 700.0}
+
+    def to_darkness(evaluation, _white, reduced, *_):
+        change = np.zeros(len(evaluation.values))
+        change[evaluation.problem.unknowns.names.index("single-a.gain")] = -1e6
+        return Step(change, reduced.chi2, np.zeros(len(change), bool))
+
+    monkeypatch.setattr(image_fit, "crossed", to_darkness)
+    monkeypatch.setattr(image_fit, "FAR", np.inf)
+    found = fit(MODEL, _data(), Spots(noise), anchor_at=lambda model: Anchored(model, 1000))
+    assert not found.converged
+    assert found.value("single-a.gain") == pytest.approx(300.0, rel=0.1)
+
+
+def test_no_sensor_is_asked_for_without_a_gain():
+    """An image that is bright where the model is dark pulls its gain below zero: with effects it stays above."""
+
+    class Sensed(Spots):
+        """Refuses a view whose sensor has no gain, as a worker does."""
+
+        gains: ClassVar[list[float]] = []
+
+        def images(self, model, views, paths=(), anchor=None):
+            self.gains.extend(view.sensor.gain_dn for view in views if view.sensor is not None)
+            return super().images(model, views, paths, anchor)
+
+    walled = TRUTH.model_copy(update={"effects": (AppliedEffect(name="vignetting", parameters={}),)})
+    rim = (np.arange(24) - 11.5) ** 2
+    images = [replace(one, signal_dn=20.0 * np.add.outer(rim, rim)) for one in _data()]
+    found = fit(walled, images, Sensed())
+    assert not found.trusted
+    assert len(Sensed.gains) > 10
+    assert min(Sensed.gains) > 0.0

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from luxloop.errors import InputError
 from luxloop.model import Model
 from validation.fit.least_squares import Parameter, Reduced, Step, reduce
-from validation.fit.parameters import CurveData, Discrepancy, free_paths, unknowns_of
+from validation.fit.parameters import CurveData, Discrepancy, free_paths, gain_of, unknowns_of
 from validation.fit.problem import CurvePredictor, Evaluation, ImagePredictor, Problem, view_of
 from validation.fit.result import WANTED_NOISE, Fit, conclude, histories_for
 from validation.fit.start import start_values
@@ -162,7 +162,8 @@ def _settled(evaluation: Evaluation, iteration: int) -> Fit:
 
     Its steps are by the product of columns with columns of another walk. Steps by their own product fall short along
     what the data hardly know, for there most of a column is noise, and end up to an error from the solution. Where
-    they are long, or chi2 would rise, they are none of the last, and none is taken: the fit has not converged.
+    they are long, or chi2 would rise, or they take all light from an image, they are none of the last, and none is
+    taken: the fit has not converged.
     """
     problem, others, turn = evaluation.problem, evaluation.others(), 0
     while True:
@@ -173,9 +174,11 @@ def _settled(evaluation: Evaluation, iteration: int) -> Fit:
         seen = np.isfinite(error) & (error > 0.0)
         longest = float(np.max(np.abs(step.change[seen]) / error[seen], initial=0.0))
         near, turn = longest < SETTLED, turn + 1
-        if near or longest > FAR or step.chi2 > reduced.chi2 + RISE or turn == SETTLING:
+        stepped = problem.unknowns.within(evaluation.values + step.change)
+        long = longest > FAR or step.chi2 > reduced.chi2 + RISE or _is_dark(problem, stepped)
+        if near or long or turn == SETTLING:
             return conclude(evaluation, white, reduced, columns, step, iteration + turn, near, other)
-        evaluation = problem.evaluate(problem.unknowns.within(evaluation.values + step.change))
+        evaluation = problem.evaluate(stepped)
 
 
 def crossed(evaluation: Evaluation, white: Whitening, reduced: Reduced, columns: Real, other: Real) -> Step:
@@ -229,13 +232,23 @@ def _step_down(
     problem, expected = evaluation.problem, reduced.gap
     while damping <= MAX_DAMPING:
         step = reduced.step(damping, short=True)
-        trial = problem.evaluate(problem.unknowns.within(evaluation.values + step.change))
+        stepped = problem.unknowns.within(evaluation.values + step.change)
+        if problem.model.effects and _is_dark(problem, stepped):  # no sensor has such a gain
+            damping = max(10.0 * damping, 1e-3)
+            continue
+        trial = problem.evaluate(stepped)
         there = reduce(columns, trial.residual(white), problem.unknowns.parameters, trial.values)
         gained = max(reduced.chi2 - there.chi2, expected - there.gap)
         if gained >= -GAP:
             return trial, 0.0 if damping < 1e-4 else damping / 10.0, gained
         damping = max(10.0 * damping, 1e-3)
     return None, damping, 0.0
+
+
+def _is_dark(problem: Problem, values: Real) -> bool:
+    """Whether an image would have a gain of zero: all of its light would be an offset."""
+    by_name = problem.unknowns.named(values)
+    return any(gain_of(image, by_name) <= 0.0 for image in problem.images)
 
 
 def _moved(found: Fit, before: Fit, paths: Sequence[str]) -> float:
