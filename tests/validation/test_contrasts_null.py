@@ -93,8 +93,22 @@ def test_drawing_cells_is_drawing_pixels():
     scale = variance_scales((left**2).sum(axis=0), projection.freedom)
     energies = layout.energies(layout.cells @ left, weight) / scale
     slow = drawn.of_families.z(layout.family_sums @ energies).max(axis=0)
-    assert ks_2samp(slow, drawn.largest).pvalue > 0.01
+    assert ks_2samp(slow, drawn.of_families.z(layout.family_sums @ drawn.energies).max(axis=0)).pvalue > 0.01
+    peaks = layout.energies_and_peaks(layout.cells @ left, weight)[1] / scale
+    assert min(ks_2samp(a, b).pvalue for a, b in zip(peaks, drawn.peaks, strict=True)) > 1e-4
     assert min(ks_2samp(a, b).pvalue for a, b in zip(energies, drawn.energies, strict=True)) > 1e-4
+    both = np.maximum(slow, drawn.peak_z(peaks).max(axis=0))
+    assert ks_2samp(both, drawn.largest).pvalue > 0.01
+
+
+def test_peaks_are_nearly_normal_equivalents():
+    """Of contrasts as many as counted, the peak's z is hardly above a normal one; the largest peaks stay finite."""
+    one = _fitted(1, side=24)
+    layout, projection = fit_layout(one), fit_projection(one)
+    drawn = null(layout, projection, Variances.of(layout, projection).weight, 4000, seed=3)
+    z = drawn.peak_z(drawn.peaks)
+    assert 0.3 < np.mean(z > 1.645) / 0.05 < 1.3  # blocks hold one another: they count for fewer
+    assert np.all(np.isfinite(drawn.peak_z(np.full(drawn.peaks.shape, 1e6, np.float32))))
 
 
 def test_same_seed_same_null_and_another_seed_another():

@@ -76,6 +76,34 @@ def test_a_block_is_found_in_its_rows_and_columns():
     assert found.shots["array-a"].worst == found.where[0]
 
 
+def test_one_hot_place_has_a_vote():
+    """3 x 3 pixels among a thousand: no family stands out, the place alone does, and its image is the one."""
+    blanks = [blank(name, sample, 96) for name, sample in {"single-b": SINGLE, "array-a": ARRAY}.items()]
+    images = measured(TRUTH, blanks, np.random.default_rng(1))
+    spot = np.zeros((96, 96))
+    spot[60:63, 20:23] = 3.2
+    found = _found(_with(images, 0, spot * _sd(images[0])))
+    assert found.families[0].p > 0.01
+    assert found.p < 0.01
+    assert found.shots["single-b"].p < 0.01
+    assert found.shots["array-a"].p > 0.01
+    assert found.where[0].shot == "single-b"
+
+
+def test_a_bad_image_does_not_excuse_another():
+    """One image at several times its noise: the ring in another is seen as it was without."""
+    images = _images()
+    x_um, y_um = module_coordinates_um(images[1], Pose())
+    distance = np.hypot(x_um, y_um)
+    ringed = _with(images, 1, 1.5 * _sd(images[1]) * ((distance >= 150.0) & (distance < 200.0)))
+    noise = np.random.default_rng(3).standard_normal((24, 24))
+    both = _found(_with(ringed, 2, 5.0 * noise * _sd(images[2])))
+    assert both.variance_scale == pytest.approx(np.exp(0.12))
+    assert both.p_text == both.shots["single-b"].p_text == both.shots["array-a"].p_text == f"< 1/{DRAWS}"
+    rings = [region for region in both.where if region.family == "distance from the chip"]
+    assert any(region.place == "150-200 um from the nearest chip, single-b" for region in rings)
+
+
 def test_a_plane_is_found_in_opposite_sectors():
     """Light that grows with x: the sectors about +x and -x stand out with opposite signs."""
     images = _images()

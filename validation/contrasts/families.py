@@ -102,12 +102,29 @@ class Layout:
         """All linear contrasts (contrast, draw) from sums over cells (cell, draw)."""
         return np.concatenate([cells, self.sums @ cells])
 
+    @cached_property
+    def places(self) -> dict[str | None, int]:
+        """How many linear contrasts each shot has, and all shots summed (None), in the order of `peaks`."""
+        counts = dict.fromkeys((group.shot for group in self.groups), 0)
+        for group in self.groups:
+            counts[group.shot] += len(group.labels)
+        return counts
+
     def energies(self, cells: Array, weight: Array) -> Array:
         """(energy, draw): sums of squares of contrasts times their weight by group, then powers by band."""
+        return self.energies_and_peaks(cells, weight)[0]
+
+    def energies_and_peaks(self, cells: Array, weight: Array) -> tuple[Array, Array]:
+        """The energies, and the largest single square (place, draw) of each of `places`."""
         squares = self.contrasts(cells) ** 2 * weight[:, None]
         parts = [squares[group.rows].sum(axis=0) for group in self.groups]
         powers = [spectrum.power(cells) for spectrum in self.spectra]
-        return np.concatenate([np.array(parts).reshape(len(parts), -1), *powers])
+        energies = np.concatenate([np.array(parts).reshape(len(parts), -1), *powers])
+        of_place: dict[str | None, list[Array]] = {place: [] for place in self.places}
+        for group in self.groups:
+            of_place[group.shot].append(squares[group.rows].max(axis=0))
+        peaks = [np.max(of_groups, axis=0) for of_groups in of_place.values()]
+        return energies, np.array(peaks).reshape(len(peaks), -1)
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,9 +18,10 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import log_ndtr, ndtri_exp  # scipy.stats takes a second to import
 
 from validation.contrasts.families import Layout
-from validation.fit.whitening import SCALE_PRIOR_SD, variance_scales
+from validation.fit.whitening import SCALE_PRIOR_SD, held_scales
 
 Real = NDArray[np.float64]
 Single = NDArray[np.float32]
@@ -65,10 +66,11 @@ class Variances:
 
 @dataclass(frozen=True, eq=False)
 class Null:
-    """Energies of all groups in many draws with nothing but noise in them."""
+    """Energies of all groups, and the largest single places, in many draws with nothing but noise in them."""
 
     layout: Layout
     energies: Single  # (energy, draw)
+    peaks: Single  # (place, draw): the largest square of one contrast in each shot, and in the sums over shots
     seed: int
 
     @property
@@ -88,13 +90,21 @@ class Null:
 
     @cached_property
     def largest(self) -> Real:
-        """The statistic of each draw: its largest standardised family."""
-        return np.asarray(self.of_families.z(self.layout.family_sums @ self.energies).max(axis=0))
+        """The statistic of each draw: its largest standardised family, or single place."""
+        families = self.of_families.z(self.layout.family_sums @ self.energies).max(axis=0)
+        return np.asarray(np.maximum(families, self.peak_z(self.peaks).max(axis=0)))
 
-    def largest_in(self, rows: list[int]) -> Real:
-        """The same over some groups only (those of one shot)."""
+    def largest_in(self, shot: str, rows: list[int]) -> Real:
+        """The same over one shot, whose groups are `rows`."""
         part = Standard(self.of_groups.mean[rows], self.of_groups.freedom[rows])
-        return np.asarray(part.z(self.energies[rows].astype(float)).max(axis=0))
+        groups = part.z(self.energies[rows].astype(float)).max(axis=0)
+        return np.asarray(np.maximum(groups, self.peak_z(self.peaks)[list(self.layout.places).index(shot)]))
+
+    def peak_z(self, peaks: Real | Single) -> Real:
+        """Standardised peaks (place, draw): normal equivalents of the chance that one of so many is as large."""
+        count = np.array(list(self.layout.places.values()), float)[:, None]
+        log_expected = np.log(2.0 * count) + log_ndtr(-np.sqrt(np.asarray(peaks, float)))
+        return np.asarray(-ndtri_exp(np.where(log_expected < -20.0, log_expected, _log_some(log_expected))))
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,6 +130,11 @@ class Standard:
         return np.asarray((np.cbrt(energies / self.mean[:, None]) - (1.0 - spread)) / np.sqrt(spread))
 
 
+def _log_some(log_expected: Real) -> Real:
+    """Logarithm of the chance of one or more where so many are expected (Poisson); always below 0."""
+    return np.minimum(np.log(-np.expm1(-np.exp(np.maximum(log_expected, -20.0)))), -1e-300)
+
+
 _REMEMBERED: dict[str, Single] = {}
 _MOST_REMEMBERED = 8
 
@@ -137,22 +152,23 @@ def null(
     file = None if cache is None else cache / f"null-{key}.npy"
     if key not in _REMEMBERED:
         if file is not None and file.exists():
-            energies = np.load(file)
+            drawn = np.load(file)
         else:
-            energies = _draw(layout, projection, weight, draws, seed)
+            drawn = _draw(layout, projection, weight, draws, seed)
             if file is not None:
-                _save(file, energies)
+                _save(file, drawn)
         while len(_REMEMBERED) >= _MOST_REMEMBERED:
             _REMEMBERED.pop(next(iter(_REMEMBERED)))
-        _REMEMBERED[key] = energies
-    return Null(layout, _REMEMBERED[key], seed)
+        _REMEMBERED[key] = drawn
+    energies, peaks = np.split(_REMEMBERED[key], [len(layout.members)])
+    return Null(layout, energies, peaks, seed)
 
 
 def _draw(layout: Layout, projection: Projection, weight: Real, draws: int, seed: int) -> Single:
-    """(energy, draw)."""
+    """(energies, then peaks; draw)."""
     random = np.random.Generator(np.random.SFC64(seed))
     machine = _Machine.of(layout, projection, weight)
-    parts = [machine.energies(random, min(BATCH, draws - first)) for first in range(0, draws, BATCH)]
+    parts = [machine.drawn(random, min(BATCH, draws - first)) for first in range(0, draws, BATCH)]
     return np.concatenate(parts, axis=1)
 
 
@@ -192,8 +208,8 @@ class _Machine:
             freedom=projection.freedom,
         )
 
-    def energies(self, random: np.random.Generator, count: int) -> Single:
-        """(energy, draw) of `count` draws."""
+    def drawn(self, random: np.random.Generator, count: int) -> Single:
+        """(energies, then peaks; draw) of `count` draws."""
         cells, inside, priors = (
             random.standard_normal((size, count), np.float32)
             for size in (len(self.root_pixels), self.inside_cells.shape[1], len(self.prior))
@@ -206,8 +222,8 @@ class _Machine:
         chi2 = length2 - (fitted * (2.0 * data - self.data_data @ fitted)).sum(axis=0)
         cells *= self.root_pixels * scale
         cells -= self.sums_data @ fitted
-        energies = self.layout.energies(cells, self.weight) / variance_scales(chi2, self.freedom)
-        return energies.astype(np.float32)
+        found = np.concatenate(self.layout.energies_and_peaks(cells, self.weight))
+        return (found / held_scales(chi2, self.freedom)).astype(np.float32)
 
 
 def _single(array: Real) -> Single:
@@ -221,7 +237,7 @@ def _lengths2(draws: Single) -> Single:
 
 def _key(layout: Layout, projection: Projection, draws: int, seed: int) -> str:
     """A hash of all that a null depends on."""
-    digest = hashlib.sha256(f"{draws} {seed} {layout.members}".encode())
+    digest = hashlib.sha256(f"{draws} {seed} {layout.members} {list(layout.places)}".encode())
     for matrix in (layout.cells, layout.sums):
         digest.update(matrix.indptr.tobytes() + matrix.indices.tobytes())
     for spectrum in layout.spectra:

@@ -1,8 +1,10 @@
 """The verdict on what a fit has left: is it more than noise, and where.
 
-The statistic is the largest standardised family; its p-value is counted among draws that went through the same fit,
-so it pays for all families, for the refit, for the priors and for the variance scale. A region's own z does not pay
-for the many regions there are; `chance` does, within its family.
+The statistic is the largest standardised family, or single place; its p-value is counted among draws that went
+through the same fit, so it pays for all families and places, for the refit, for the priors and for the variance
+scale. A region's own z does not pay for the many regions there are; `chance` does, within its family. The variance
+scale is one for all shots, held to what its prior allows: free, one image at ten times its noise would hide the
+faults of others.
 """
 
 from __future__ import annotations
@@ -19,7 +21,7 @@ from scipy.special import log_ndtr, ndtri  # scipy.stats takes a second to impor
 from validation.contrasts.families import CELLS, Layout, layout_of
 from validation.contrasts.null import Null, Projection, Variances, null
 from validation.contrasts.places import picture
-from validation.fit.whitening import grids_of, variance_scale
+from validation.fit.whitening import grids_of, held_scale
 
 if TYPE_CHECKING:
     from validation.fit.result import Fit
@@ -85,7 +87,7 @@ class Structure:
     p: float
     p_text: str  # "< 1/10000" where no draw was as large
     z: float  # normal equivalent of p; a lower limit where no draw was as large
-    statistic: float  # the largest standardised family
+    statistic: float  # the largest standardised family, or single place
     families: tuple[FamilyFound, ...]  # the largest first
     shots: dict[str, ShotFound]
     where: tuple[Region, ...]  # the least likely first
@@ -124,13 +126,15 @@ def fit_projection(fit: Fit) -> Projection:
 def judged(residual: Real, layout: Layout, projection: Projection, variances: Variances, drawn: Null) -> Structure:
     """The verdict on a whitened residual against its null."""
     chi2 = float(residual @ residual)
-    scale = variance_scale(chi2, projection.freedom)
+    scale = held_scale(chi2, projection.freedom)
     cells = (layout.cells @ residual)[:, None]
-    energies = np.asarray(layout.energies(cells, variances.weight) / scale, np.float64)
+    energies, peaks = (
+        np.asarray(part / scale, np.float64) for part in layout.energies_and_peaks(cells, variances.weight)
+    )
     local_z = np.asarray(layout.contrasts(cells)[:, 0] * np.sqrt(variances.weight / scale), np.float64)
     regions = _regions(layout, local_z, energies, drawn)
     families = _families(layout, energies, drawn)
-    largest = families[0].z
+    largest = max(families[0].z, float(drawn.peak_z(peaks).max()))
     p, p_text = counted_p(drawn.largest, largest)
     return Structure(
         p=p,
@@ -138,7 +142,7 @@ def judged(residual: Real, layout: Layout, projection: Projection, variances: Va
         z=float(-ndtri(min(p, LARGEST_P))),
         statistic=largest,
         families=families,
-        shots={shot: _shot(shot, layout, residual, energies, drawn, regions) for shot in layout.shots},
+        shots={shot: _shot(shot, residual, energies, peaks, drawn, regions) for shot in layout.shots},
         where=tuple(regions[:REGIONS]),
         variance_scale=scale,
         chi2=chi2,
@@ -209,11 +213,12 @@ def _region(family: str, shot: str | None, words: str, z: float, count: int) -> 
 
 
 def _shot(
-    shot: str, layout: Layout, residual: Real, energies: Real, drawn: Null, regions: Sequence[Region]
+    shot: str, residual: Real, energies: Real, peaks: Real, drawn: Null, regions: Sequence[Region]
 ) -> ShotFound:
+    layout = drawn.layout
     rows = [k for k, (_, owner) in enumerate(layout.members) if owner == shot]
-    z = drawn.of_groups.z(energies)[rows, 0]
-    p, text = counted_p(drawn.largest_in(rows), float(z.max()))
+    peak = float(drawn.peak_z(peaks)[list(layout.places).index(shot), 0])
+    p, text = counted_p(drawn.largest_in(shot, rows), max(float(drawn.of_groups.z(energies)[rows, 0].max()), peak))
     cells = next(group for group in layout.groups if group.shot == shot and group.family == CELLS)
     pixels = layout.cells[cells.rows].indices
     worst = next(region for region in regions if region.shot == shot)

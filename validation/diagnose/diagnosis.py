@@ -35,7 +35,7 @@ from validation.diagnose.verdict import (
 )
 from validation.effects.confounding import Confounding, confounding, left_beside
 from validation.fit import NOT_CONVERGED, Fit
-from validation.fit.whitening import variance_scale
+from validation.fit.whitening import held_scale
 
 Real = NDArray[np.float64]
 
@@ -209,7 +209,7 @@ def _explanation(
     ground: Ground, score: EffectScore, found: Refitted, columns: dict[str, Real], rivals: Sequence[str]
 ) -> Explanation:
     candidate, base = score.best.candidate, ground.fit
-    scale = variance_scale(float(found.residual @ found.residual), base.freedom - 1.0)
+    scale = held_scale(float(found.residual @ found.residual), base.freedom - 1.0)
     drop = base.chi2 + base.reduced.chi2_prior - found.chi2
     length, beside = float(np.sqrt(score.best.drop)), {}
     if not candidate.is_group:

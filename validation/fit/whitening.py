@@ -24,6 +24,7 @@ Real = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 SCALE_PRIOR_SD = 0.03  # of the logarithm of the variance scale: K and read noise are known to a few percent
+HELD_SD = 4.0  # prior sds: noise as far from what is declared is no noise, but something that the model lacks
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,6 +131,17 @@ def variance_scales(chi2: Real, freedom: float, prior_sd: float = SCALE_PRIOR_SD
         if np.all(np.abs(step) < 1e-9):
             break
     return np.asarray(np.exp(log_v))
+
+
+def held_scales(chi2: Real, freedom: float) -> Real:
+    """The same, held to what the prior allows: what one image has too much of must not excuse what another shows."""
+    most = float(np.exp(HELD_SD * SCALE_PRIOR_SD))
+    return np.asarray(np.clip(variance_scales(chi2, max(freedom, 0.0)), 1.0 / most, most))
+
+
+def held_scale(chi2: float, freedom: float) -> float:
+    """One of them."""
+    return float(held_scales(np.array([chi2]), freedom)[0])
 
 
 def variance_scale(chi2: float, freedom: float) -> float:

@@ -215,7 +215,7 @@ def test_the_share_of_a_right_model_is_one_and_of_the_base_nothing() -> None:
     """The family that was loudest judges; the error covers the difference."""
     ground = ground_of(diagnosis(data("stripes", 8, 0.1, 300.0)).steps[0].ground.fit)
     loudest = ground.loudest
-    assert loudest.share(ground.fit.residual, ground.fit.variance_scale).value == pytest.approx(0.0, abs=0.05)
+    assert loudest.share(ground.fit.residual, ground.structure.variance_scale).value == pytest.approx(0.0, abs=0.05)
     noise = np.random.default_rng(1).standard_normal(ground.fit.residual.size)
     right = loudest.share(ground.projection.residual(noise))
     assert abs(right.value - 1.0) < 3.0 * right.error + 0.05
