@@ -181,8 +181,21 @@ class Comparison:
             "gain_dn_mm2": self.fit.gains[shot], "offset_dn": self.fit.offsets_dn[shot],
             "shift_um": [pose.shift_px[1] * image.pixel_um, pose.shift_px[0] * image.pixel_um],
             "rotation_deg": pose.rotation_deg, "saturated": image.saturated, "masked": image.masked,
-            "pixel_um": image.pixel_um, "centre_px": list(image.centre_px),
+            "pixel_um": image.pixel_um, "centre_px": list(image.centre_px), "nuisances": self._nuisances(shot),
         }  # fmt: skip
+
+    def _nuisances(self, shot: str) -> list[dict[str, Any]]:
+        """What only this image has: values with errors; `pull`: from the mean of its prior, in its sds."""
+        known = (one for one in self.fit.problem.unknowns.parameters if one.name.startswith(f"{shot}."))
+        return [
+            {
+                "name": one.name.removeprefix(f"{shot}."), "value": self.fit.value(one.name),
+                "error": self.fit.error(one.name) if np.isfinite(self.fit.error(one.name)) else None,
+                "pull": (self.fit.value(one.name) - one.prior_mean) / one.prior_sd
+                if np.isfinite(one.prior_sd) else None,
+            }
+            for one in known
+        ]  # fmt: skip
 
     def _curve(self, number: int, z: Real) -> dict[str, Any]:
         curve = self.fit.problem.curves[number]

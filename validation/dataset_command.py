@@ -139,7 +139,11 @@ def import_(
     findings = findings_of(into)
     to_check = sorted(order.remarks)
     if not as_json:
-        typer.echo(f"{into}: {len(manifest.shots)} images of {len(manifest.samples)} samples, --row0 {row0}")
+        images, samples = (
+            f"{len(some)} {word}{'s' * (len(some) != 1)}"
+            for some, word in ((manifest.shots, "image"), (manifest.samples, "sample"))
+        )
+        typer.echo(f"{into}: {images} of {samples}, --row0 {row0}")
         for path in to_check:
             typer.echo(f"check this in {into / 'dataset.toml'}: {path}  # {order.remarks[path]}")
     more = {"images": len(manifest.shots), "samples": len(manifest.samples), "row0": row0, "to_check": to_check}

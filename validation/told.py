@@ -10,6 +10,8 @@ from luxloop.units import unit_of
 Document = Mapping[str, Any]
 
 REGIONS = 8
+FAR_PULL = 3.0  # standard deviations: of two priors an image, one of six images is so far in 3 % of data sets
+MEND = {"gain_error": "is its exposure_ms right?", "rotation_deg": "does the sample lie straight under the camera?"}
 
 
 def comparison(document: Document) -> Iterator[str]:
@@ -29,9 +31,20 @@ def comparison(document: Document) -> Iterator[str]:
     yield document["sentence"] + "."
     if not document["trusted"]:
         yield f"Not to be trusted: {document['reason']}."
+    yield from pulled(images)
     traced = any(shot["kind"] != "spectrum" for shot in document["shots"])  # films have no other solver
     if traced and document["solver"]["method"] == "twin":
         yield "By the twin alone, whose own error may show as structure: leave --twin out for the verdict."
+
+
+def pulled(images: Sequence[Document]) -> Iterator[str]:
+    """Gains and places of images that are further from what is expected of them than chance explains."""
+    for shot in images:
+        for one in shot.get("nuisances", []):
+            if one["pull"] is not None and abs(one["pull"]) > FAR_PULL:
+                value = f"{one['value']:.3g} +- {one['error'] or 0.0:.1g}"
+                far = f"{one['pull']:+.1f} sd of what is expected"
+                yield f"{shot['id']}: {one['name']} is {value}, {far}; {MEND[one['name']]}"
 
 
 def regions(document: Document) -> Iterator[str]:
@@ -118,6 +131,8 @@ def calibration(document: Document) -> Iterator[str]:
     yield f"{document['sentence']}; {left}."
     if not document["trusted"]:
         yield f"Not to be trusted: {document['reason']}."
+    if document["solver"]["method"] == "twin":
+        yield "By the twin alone, whose own error moves values by more than their errors: leave --twin out to decide."
     if document.get("version") is None:
         yield f"{document['model']['file']} is as it was."
     else:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -74,6 +75,26 @@ def test_the_table_has_a_line_for_every_shot() -> None:
     text = "\n".join(told.comparison(found.document()))
     assert all(shot in text for shot in found.observed.shots)
     assert "By the twin alone" in text
+
+
+def test_an_image_tells_its_own_values_with_errors_and_a_wrong_exposure_is_said() -> None:
+    """Gains tied to exposures: one that is 6 % off pulls at its prior of 1 %, in the JSON and on the terminal."""
+    seen = observed()
+    images = []
+    for image, exposure in zip(seen.images, (8.0 * 1.06, 8.0), strict=True):  # both of the same gain
+        camera = image.camera.model_copy(update={"gain_mode": "exposure"})
+        shot = image.shot.model_copy(update={"exposure_ms": exposure})
+        images.append(replace(image, camera=camera, shot=shot))
+    right = replace(images[0], shot=images[0].shot.model_copy(update={"exposure_ms": 8.0}))
+    plain = compared(spots.TRUTH, replace(seen, images=(right, images[1])), spots.Spots(), Solver(None)).document()
+    assert not list(told.pulled(plain["shots"]))
+    document = compared(spots.TRUTH, replace(seen, images=tuple(images)), spots.Spots(), Solver(None)).document()
+    shot = next(one for one in document["shots"] if one["id"] == images[0].shot.id)
+    (gain,) = (one for one in shot["nuisances"] if one["name"] == "gain_error")
+    assert gain["value"] < -0.02
+    assert 0.0 < gain["error"] < 0.01
+    assert gain["pull"] == pytest.approx(gain["value"] / 0.01)
+    assert any("is its exposure_ms right?" in line for line in told.pulled(document["shots"]))
 
 
 def test_a_straight_line_is_found_with_its_weights() -> None:

@@ -148,8 +148,8 @@ class FilmSample(Strict):
     """A film as a spectrometer or an ellipsometer sees it."""
 
     id: Name
-    incident: Name = Field("air", description="Material that the light comes from.")
-    exit: Name = Field("air", description="Material behind the film: air, Si, ...")
+    incident: Name = Field("air", description="Material that the light comes from; air is taken as n = 1.")
+    exit: Name = Field("air", description="Material behind the film: air (n = 1), Si, ...")
     layers: Annotated[tuple[FilmLayer, ...], Field(strict=False)] = Field(
         (), max_length=400, description="The incident side first."
     )

@@ -266,7 +266,8 @@ def simulate(
         curves += expected_far_fields(client, truth, chosen.samples, wanted, histories=histories, seed=seed)
     how = f"Monte Carlo, {histories:,} histories a sample" if solver == "monte_carlo" else "the deterministic twin"
     if keep_truth:
-        _write_truth(folder, truth, expected, {"solver": solver, "histories": histories, "seed": seed})
+        traced = {"histories": histories} if solver == "monte_carlo" else {}
+        _write_truth(folder, truth, expected, {"solver": solver, **traced, "seed": seed})
     chosen = chosen.model_copy(
         update={"name": _name(chosen, truth if keep_truth else None, seed, images or far_field)}
     )
