@@ -21,8 +21,8 @@ from validation.diagnose.evidence import logs_of_spreads
 from validation.diagnose.frozen import FrozenCurves, FrozenImages, Slopes, frozen_at, without
 from validation.effects.known import CHIP, applied, off_values, with_effect
 from validation.fit import Fit, prior_chi2, refitted, unknowns_of
+from validation.fit import fit as fitted
 from validation.fit.image_fit import ANCHOR_MOVE, MAX_ANCHORS
-from validation.fit.parameters import pose_of
 from validation.fit.problem import CurvePredictor, ImagePredictor, Problem
 from validation.fit.start import start_values
 from validation.prediction import Anchored
@@ -163,7 +163,7 @@ def switched(base: Fit, candidate: Candidate) -> Refitted:
     residuals = [one.evaluate(values).residual(base.whitening) for one, values in starts]
     better = int(np.argmin([residual @ residual for residual in residuals]))
     problem, values = starts[better]
-    found = refitted(frozen_at(about_its_light(problem, values), values), values, STEPS)
+    found = in_its_light(problem, values) or refitted(frozen_at(problem, values), values, STEPS)
     return Refitted(candidate, 1.0, 0.0, found.residual, _chi2(found), False, found.model, found)
 
 
@@ -214,8 +214,11 @@ def finished(found: Refitted, predictor: ImagePredictor, curves: CurvePredictor 
         return found
     if not spec.twin:
         return _at_its_value(found, fit, predictor)
-    problem = about_its_light(replace(fit.problem, predictor=predictor, predict_curves=curves), fit.values)
-    own, as_well = _best_words(found, problem, fit.values)
+    problem, values = replace(fit.problem, predictor=predictor, predict_curves=curves), fit.values
+    anew = in_its_light(problem, values)
+    if anew is not None:
+        problem, values = anew.problem, anew.values
+    own, as_well = _best_words(found, problem, anew or _renewed(problem, values))
     lengths = [one for one in spec.parameters if one.off is None and not one.choices and one.name != CHIP]
     shapes = [one for one in lengths if one.shape_grid]
     if shapes and not found.candidate.is_switch:
@@ -229,15 +232,16 @@ def finished(found: Refitted, predictor: ImagePredictor, curves: CurvePredictor 
     return replace(_with(found, own), as_well=as_well)
 
 
-def about_its_light(problem: Problem, values: Real) -> Problem:
-    """The problem about Monte Carlo at these values, where they have another light than the anchor has.
+def in_its_light(problem: Problem, values: Real) -> Fit | None:
+    """The fit from these values by the twin, then about Monte Carlo of its own; None where the anchor's will do.
 
     What the twin errs by, and the noise of Monte Carlo, is carried over as it is from the anchor, but it goes with
-    the light: of a chip that absorbs nothing it is several times too large for one that absorbs 200 /cm.
+    the light: of a chip that absorbs nothing it is several times too large for one that absorbs 200 /cm. And what
+    made up for the missing effect leads the long way back only where nothing but the twin has a say.
     """
     anchor, known = problem.anchor, problem.unknowns.named(values)
     if anchor is None or not anchor.histories:
-        return problem
+        return None
     model, alone = problem.unknowns.model(problem.model, values), replace(anchor, histories=0)
     models = (model, anchor.model)
     here, there = (problem.predictor.images(one, problem.views(one, known), (), alone) for one in models)
@@ -246,19 +250,23 @@ def about_its_light(problem: Problem, values: Real) -> Problem:
         for one, other in zip(here, there, strict=True)
     ]
     if max(map(abs, changes), default=0.0) <= OTHER_LIGHT:
-        return problem
-    poses = tuple(pose_of(image, known) for image in problem.images)
-    return replace(problem, anchor=replace(anchor, model=model, poses=poses))
+        return None
+    unknowns = problem.unknowns
+    return fitted(
+        model, problem.images, problem.predictor, free=unknowns.model_paths, curves=problem.curves,
+        anchor_at=lambda there: replace(anchor, model=there, poses=()), predict_curves=problem.predict_curves,
+        others=[one for one in unknowns.parameters if one.name in unknowns.other_paths],
+        discrepancies=problem.discrepancies, start=known,
+    )  # fmt: skip
 
 
-def _best_words(found: Refitted, problem: Problem, values: Real) -> tuple[Fit, tuple[Words, ...]]:
+def _best_words(found: Refitted, problem: Problem, own: Fit) -> tuple[Fit, tuple[Words, ...]]:
     """The fit with the best words of the effect's shape (a law, a profile), and other words that fit as well."""
     spec = found.candidate.effect
     words = [one for one in spec.parameters if one.off is None and one.choices and not found.candidate.is_switch]
     if not words:
-        return _renewed(problem, values), ()
+        return own, ()
     tried = next(dict(effect.parameters) for effect in problem.model.effects if effect.name == spec.name)
-    own = _renewed(problem, values)
     known, start = without(own.problem, path_of(spec.name, found.candidate.parameter.name)), own.problem.unknowns
     fits = {}
     for said in product(*(one.choices for one in words)):

@@ -18,7 +18,7 @@ from luxloop.model import Model
 from tests.validation.analytic import ARRAY, HALO, MODEL, PATHS, SIGMA, SINGLE, Spots, blank
 from tests.validation.diagnose.made_up import GAIN, THIRD, seen, spec
 from validation.diagnose.frozen import FrozenImages, frozen_at, slopes_of, without
-from validation.diagnose.refit import Refitted, about_its_light, finished, freed, switched
+from validation.diagnose.refit import Refitted, finished, freed, in_its_light, switched
 from validation.diagnose.score import Candidate, Score
 from validation.effects.known import applied, with_effect
 from validation.effects.signatures import Column, Projection
@@ -204,19 +204,22 @@ def test_a_size_beyond_a_straight_lines_reach_is_begun_nearer(base: Fit) -> None
 
 
 def test_monte_carlo_is_asked_for_anew_where_the_light_has_changed(base: Fit) -> None:
-    """By more than a tenth in any image: what the anchor carries over goes with the light."""
+    """By more than a tenth in any image: the fit is made anew, about Monte Carlo of its own."""
     problem = replace(base.problem, predictor=Spots())
     anchor = problem.anchor
     assert anchor is not None
-    assert about_its_light(problem, base.values) is problem
+    assert in_its_light(problem, base.values) is None
     darker = base.values.copy()
     darker[problem.unknowns.names.index(HALO)] *= 0.5
-    moved = about_its_light(problem, darker).anchor
+    moved = in_its_light(problem, darker)
     assert moved is not None
-    assert moved.model.leaves()[HALO] == pytest.approx(darker[problem.unknowns.names.index(HALO)])
-    assert (moved.histories, moved.seed) == (anchor.histories, anchor.seed)
+    about = moved.problem.anchor
+    assert about is not None
+    assert about.model.leaves() != anchor.model.leaves()
+    assert (about.histories, about.seed) == (anchor.histories, anchor.seed)
+    assert moved.chi2 == pytest.approx(base.chi2, abs=1.0)
     lent = replace(problem, anchor=replace(anchor, histories=0))
-    assert about_its_light(lent, darker) is lent
+    assert in_its_light(lent, darker) is None
 
 
 class Turned(Spots):
