@@ -39,6 +39,7 @@ FAR = 30.0  # errors: a step as long is not one of the last, and by noisy column
 RISE = 30.0  # chi2: what is solved for instead of the least chi2 lies within some errors of it
 POSE_PX = 1e-3
 MAX_ITERATIONS = 40
+TWIN_STEPS = 10  # before there is an anchor: where a model lacks much, more go about a bent valley for nothing
 MAX_DAMPING = 1e6
 MAX_ANCHORS = 3
 ANCHOR_MOVE = 0.3  # of a parameter's error: further from its anchor, the anchor is renewed
@@ -78,8 +79,10 @@ def fit(
     )  # fmt: skip
     if model.effects and images and anchor_at is None:  # a worker refuses those that the twin cannot represent
         predictor.images(model, [view_of(image, Pose()) for image in images])
-    found = _unclipped(problem, start_values(problem, start or {}))
-    for _ in range(MAX_ANCHORS if anchor_at is not None and images else 0):
+    anchored_later = anchor_at is not None and bool(images)
+    most = TWIN_STEPS if anchored_later else MAX_ITERATIONS
+    found = _unclipped(problem, start_values(problem, start or {}), most=most)
+    for _ in range(MAX_ANCHORS if anchored_later else 0):
         anchor = anchor_at(found.model) if anchor_at is not None else None
         if anchor is None:
             break
