@@ -163,7 +163,9 @@ def switched(base: Fit, candidate: Candidate) -> Refitted:
     residuals = [one.evaluate(values).residual(base.whitening) for one, values in starts]
     better = int(np.argmin([residual @ residual for residual in residuals]))
     problem, values = starts[better]
-    found = in_its_light(problem, values) or refitted(frozen_at(problem, values), values, STEPS)
+    found = refitted(frozen_at(problem, values), values, STEPS)
+    if not found.converged or has_other_light(problem, found.values):
+        found = fitted_anew(problem, found.values) or found
     return Refitted(candidate, 1.0, 0.0, found.residual, _chi2(found), False, found.model, found)
 
 
@@ -215,7 +217,7 @@ def finished(found: Refitted, predictor: ImagePredictor, curves: CurvePredictor 
     if not spec.twin:
         return _at_its_value(found, fit, predictor)
     problem, values = replace(fit.problem, predictor=predictor, predict_curves=curves), fit.values
-    anew = in_its_light(problem, values)
+    anew = fitted_anew(problem, values) if has_other_light(problem, values) else None
     if anew is not None:
         problem, values = anew.problem, anew.values
     own, as_well = _best_words(found, problem, anew or _renewed(problem, values))
@@ -232,31 +234,40 @@ def finished(found: Refitted, predictor: ImagePredictor, curves: CurvePredictor 
     return replace(_with(found, own), as_well=as_well)
 
 
-def in_its_light(problem: Problem, values: Real) -> Fit | None:
-    """The fit from these values by the twin, then about Monte Carlo of its own; None where the anchor's will do.
+def has_other_light(problem: Problem, values: Real) -> bool:
+    """Whether an image has another light at these values than at the anchor; never where there is no Monte Carlo.
 
     What the twin errs by, and the noise of Monte Carlo, is carried over as it is from the anchor, but it goes with
-    the light: of a chip that absorbs nothing it is several times too large for one that absorbs 200 /cm. And what
-    made up for the missing effect leads the long way back only where nothing but the twin has a say.
+    the light: of a chip that absorbs nothing it is several times too large for one that absorbs 200 /cm.
     """
     anchor, known = problem.anchor, problem.unknowns.named(values)
     if anchor is None or not anchor.histories:
-        return None
-    model, alone = problem.unknowns.model(problem.model, values), replace(anchor, histories=0)
-    models = (model, anchor.model)
-    here, there = (problem.predictor.images(one, problem.views(one, known), (), alone) for one in models)
+        return False
+    alone = replace(anchor, histories=0)
+    here, there = (
+        problem.predictor.images(one, problem.views(one, known), (), alone)
+        for one in (problem.unknowns.model(problem.model, values), anchor.model)
+    )
     changes = [
         float(one.irradiance_per_mm2.sum() / other.irradiance_per_mm2.sum()) - 1.0
         for one, other in zip(here, there, strict=True)
     ]
-    if max(map(abs, changes), default=0.0) <= OTHER_LIGHT:
+    return max(map(abs, changes), default=0.0) > OTHER_LIGHT
+
+
+def fitted_anew(problem: Problem, values: Real) -> Fit | None:
+    """The fit from these values by the twin, then about Monte Carlo of its own; None where there is no Monte Carlo.
+
+    What made up for a missing effect leads the long way back only where nothing but the twin has a say.
+    """
+    anchor, unknowns = problem.anchor, problem.unknowns
+    if anchor is None or not anchor.histories:
         return None
-    unknowns = problem.unknowns
     return fitted(
-        model, problem.images, problem.predictor, free=unknowns.model_paths, curves=problem.curves,
-        anchor_at=lambda there: replace(anchor, model=there, poses=()), predict_curves=problem.predict_curves,
+        unknowns.model(problem.model, values), problem.images, problem.predictor, free=unknowns.model_paths,
+        curves=problem.curves, anchor_at=lambda there: replace(anchor, model=there, poses=()),
+        predict_curves=problem.predict_curves, discrepancies=problem.discrepancies, start=unknowns.named(values),
         others=[one for one in unknowns.parameters if one.name in unknowns.other_paths],
-        discrepancies=problem.discrepancies, start=known,
     )  # fmt: skip
 
 

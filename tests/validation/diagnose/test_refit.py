@@ -18,7 +18,7 @@ from luxloop.model import Model
 from tests.validation.analytic import ARRAY, HALO, MODEL, PATHS, SIGMA, SINGLE, Spots, blank
 from tests.validation.diagnose.made_up import GAIN, THIRD, seen, spec
 from validation.diagnose.frozen import FrozenImages, frozen_at, slopes_of, without
-from validation.diagnose.refit import Refitted, finished, freed, in_its_light, switched
+from validation.diagnose.refit import Refitted, finished, fitted_anew, freed, has_other_light, switched
 from validation.diagnose.score import Candidate, Score
 from validation.effects.known import applied, with_effect
 from validation.effects.signatures import Column, Projection
@@ -208,10 +208,11 @@ def test_monte_carlo_is_asked_for_anew_where_the_light_has_changed(base: Fit) ->
     problem = replace(base.problem, predictor=Spots())
     anchor = problem.anchor
     assert anchor is not None
-    assert in_its_light(problem, base.values) is None
+    assert not has_other_light(problem, base.values)
     darker = base.values.copy()
     darker[problem.unknowns.names.index(HALO)] *= 0.5
-    moved = in_its_light(problem, darker)
+    assert has_other_light(problem, darker)
+    moved = fitted_anew(problem, darker)
     assert moved is not None
     about = moved.problem.anchor
     assert about is not None
@@ -219,7 +220,8 @@ def test_monte_carlo_is_asked_for_anew_where_the_light_has_changed(base: Fit) ->
     assert (about.histories, about.seed) == (anchor.histories, anchor.seed)
     assert moved.chi2 == pytest.approx(base.chi2, abs=1.0)
     lent = replace(problem, anchor=replace(anchor, histories=0))
-    assert in_its_light(lent, darker) is None
+    assert not has_other_light(lent, darker)
+    assert fitted_anew(lent, darker) is None
 
 
 class Turned(Spots):
