@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.hidden_effects import PAPER, ROTATION_DEG, SHIFT_PX
+from benchmarks.hidden_effects import PAPER, ROTATION_DEG, SHIFT_PX, Told
 from benchmarks.ray_coverage import clopper_pearson
 from luxloop.client import Client
 from luxloop.model import Model
@@ -91,7 +91,8 @@ class Bench:
     def engine(self, observed: Observed, pair: Sequence[str], seed: int) -> Diagnosing:
         """The diagnosis of data by the model without effects."""
         solver = Solver(self.anchor or None, seed + 2000)
-        predictor, free = Predictor(self.client), tuple(free_paths(PAPER))
+        predictor = Told(self.client, self.truth) if self.truth else Predictor(self.client)
+        free = tuple(free_paths(PAPER))
         return Diagnosing(PAPER, observed, predictor, self.known, solver, free, among=tuple(pair))
 
     def hiding(self, name: str, value: float) -> Model:
