@@ -164,7 +164,8 @@ def switched(base: Fit, candidate: Candidate) -> Refitted:
     better = int(np.argmin([residual @ residual for residual in residuals]))
     problem, values = starts[better]
     found = refitted(frozen_at(problem, values), values, STEPS)
-    if not found.converged or has_other_light(problem, found.values):
+    better = _chi2(found) < _chi2(base)  # else Monte Carlo of its own, minutes for six images, is not worth it
+    if better and (not found.converged or has_other_light(problem, found.values)):
         found = fitted_anew(problem, found.values) or found
     return Refitted(candidate, 1.0, 0.0, found.residual, _chi2(found), False, found.model, found)
 
