@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
+import shutil
 from pathlib import Path
 
 import pytest
 
+from luxloop.model_file import read_model
 from luxloop.settings import Settings
 from tests.validation.diagnose.test_diagnose_loop import told
 
 HOUSE = Path(__file__).parents[2]
 WAFER = HOUSE / "examples" / "wafer"
+SEALED = HOUSE / "examples" / "sealed"
+BEFORE, AFTER = "D 180, W 44, S 340, T 40 um, 6.5 pairs", "D 140, W 26, S 320, T 50 um, 8 pairs"
+DESIGNS = {BEFORE: "180,44,340,40,6.5", AFTER: "140,26,320,50,8"}
+"""Winners of the tutorial's campaigns, as it prints them and as `simulate` takes them."""
 
 
 @pytest.mark.slow
@@ -31,3 +39,44 @@ def test_the_wafers_spread_is_named_and_the_error_falls_to_the_noise(settings: S
     assert after["structure"]["p"] > 0.05
     rungs = told(settings, tmp_path, "ladder", *model)["rungs"]
     assert [rung["effects"] for rung in rungs] == [[], ["film_thickness_spread"]]
+
+
+@pytest.mark.slow
+def test_the_mirrors_layers_are_named_and_the_best_design_moves(settings: Settings, tmp_path: Path) -> None:
+    """Images of the blind test's forward model; the page's winners are the better ones, each under its model."""
+    tutorial = (HOUSE / "docs" / "tutorial-images.md").read_text(encoding="utf-8")
+    model, how = ("--model", "mine.toml"), ("--histories", "1000000")
+    before = told(settings, tmp_path, "compare", str(SEALED / "sets" / "set-1"), *model, *how)
+    fits = {shot["id"]: shot["structure"]["p"] > 0.01 for shot in before["shots"]}
+    assert fits == {"chip-bare": True, "chip-mirror": False, "module-bare": True, "module-mirror": False}
+    free = ("--free", "environment.substrate.reflectance,environment.receiver.reflectance")
+    among = ("--among", "dbr_layer_order,dbr_index_error,receiver_btdf,chip_absorption,vignetting")
+    found = told(settings, tmp_path, "diagnose", *model, *how, *free, *among)
+    assert (found["verdict"], found["set"]) == ("one_effect", ["dbr_layer_order"])
+    said = "One effect explains the misfit: dbr_layer_order, order aln_first."
+    assert found["sentence"].startswith(said)
+    assert said in tutorial
+    shutil.copy(tmp_path / "mine.toml", tmp_path / "before.toml")
+    added = told(settings, tmp_path, "add", "dbr_layer_order", *model, *how, *free)
+    assert added["after"]["held_out_percent"] < 1.05 * added["after"]["noise_percent"]
+    after = told(settings, tmp_path, "compare", str(SEALED / "sets" / "set-1"), *model, *how)
+    assert after["structure"]["p"] > 0.01
+    assert [one.name for one in read_model(tmp_path / "mine.toml").effects] == ["dbr_layer_order"]
+    for better, worse, under in ((BEFORE, AFTER, "before.toml"), (AFTER, BEFORE, "mine.toml")):
+        assert better in tutorial
+        good, bad = (
+            told(settings, tmp_path, "simulate", "--design", DESIGNS[one], "--model", under)["metrics"]["uniformity"]
+            for one in (better, worse)
+        )
+        error = (good["standard_error"] ** 2 + bad["standard_error"] ** 2) ** 0.5
+        assert good["value"] - bad["value"] > 3.0 * error
+
+
+def test_the_sealed_answer_of_the_tutorial_is_the_one_in_its_data() -> None:
+    """By a hash program alone, as the page says."""
+    opening = json.loads((SEALED / "answers" / "set-1.json").read_text(encoding="utf-8"))
+    text = json.dumps(opening["answer"], sort_keys=True, separators=(",", ":"), ensure_ascii=False)
+    found = hashlib.sha256(bytes.fromhex(opening["salt"]) + text.encode()).hexdigest()
+    assert found == json.loads((SEALED / "sets" / "set-1" / "seal.json").read_text(encoding="utf-8"))["sha256"]
+    assert [one["kind"] for one in opening["answer"]["hidden"]] == ["swapped_layers"]
+    assert found in (HOUSE / "docs" / "tutorial-images.md").read_text(encoding="utf-8")

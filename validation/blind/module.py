@@ -39,8 +39,9 @@ SETTLED = 1e-7
 CHANGE = 2e-4
 """Of all light: below that the next pass of the bounces is the last."""
 MOST_PASSES = 8
-MORE_TIMES = 3
-"""As many histories of a chip whose light lacks the eight symmetries, or goes by chance at its sides."""
+FEWER, SINGLE = 4, 16
+"""A chip's own light takes most histories; of these one in so many is traced again for what its module changes: fewer
+for a single chip, where few rays come back to it and nothing else is there."""
 CHIP, KERNEL, FIRST, BOUNCE = range(4)
 """What a seed is drawn for."""
 PER_UM2 = 1e6
@@ -135,26 +136,27 @@ class Tracer:
         if not lopsided and body.sphere == plain.sphere:
             found = maps.symmetric(self._traced_alone(body, above, grid))
         else:
-            times = MORE_TIMES if lopsided or body.ripple > 0.0 else 1
             flat = lone(ground_of(self._surroundings, sample, layout_of(sample, {}), {}), half)
             flat = flat._replace(distance=above.distance)
-            change = self._traced_alone(body, above, grid, times)
-            change -= self._traced_alone(plain._replace(sphere=body.sphere), flat, grid, times)
+            base = self._traced_alone(plain, flat, grid)
+            alike = plain._replace(sphere=body.sphere)
+            other = base if alike.sphere == plain.sphere else self._traced_alone(alike, flat, grid)
+            change = self._traced_alone(body, above, grid) - other
             if not lopsided:
                 change = maps.symmetric(change)
             elif lopsided <= LEFT_AND_RIGHT:
                 change = maps.mirrored(change)
-            found = maps.symmetric(self._traced_alone(plain, flat, grid)) + change
-        found = maps.smooth(found, grid)
+            found = maps.symmetric(base) + change
+        found = maps.smooth_about_chip(found, grid)
         if ground.turn_sin != 0.0:
             found = maps.turned(found, grid, float(np.arctan2(ground.turn_sin, ground.turn_cos)))
         self._kept[key] = found
         return found
 
-    def _traced_alone(self, body: Body, ground: Ground, grid: maps.Grid, times: int = 1) -> Real:
+    def _traced_alone(self, body: Body, ground: Ground, grid: maps.Grid) -> Real:
         tally = np.zeros((self._planes, grid.size, grid.size))
         steps, shift = maps.recurrence(tracing.POINTS, (self._seed, CHIP))
-        count = times * self._histories
+        count = self._histories
         tracing.lone_chip(
             ground, body, self._slant, np.uint64(self._seed * 8 + CHIP), 0, count, steps, shift, grid.step_um, tally,
             tracing.scratch(),
@@ -168,7 +170,7 @@ class Tracer:
         even = not self._there.keys() & UNEVEN_GROUND
         if sample.chips == 1 and even:
             return 0.0
-        count = max(1, self._histories // 4 if even else self._histories)
+        count = max(1, self._histories // FEWER)
         steps, shift = maps.recurrence(tracing.POINTS, (self._seed, FIRST))
 
         def traced(layout: Layout, ground: Ground, body: Body, even: bool) -> Real:
@@ -202,13 +204,14 @@ class Tracer:
         """The transform (plane, ky, kx) of what one bounce makes of light at a point, per flux that bounces."""
         key = ("kernel", grid, ground.distance)
         if key not in self._kept:
+            count = max(1, self._histories // FEWER)
             tally = np.zeros((self._planes, grid.size, grid.size))
             steps, shift = maps.recurrence(tracing.POINTS, (self._seed, KERNEL))
             tracing.bounce_kernel(
-                bare(ground), body, self._slant, np.uint64(self._seed * 8 + KERNEL), 0, self._histories, steps, shift,
+                bare(ground), body, self._slant, np.uint64(self._seed * 8 + KERNEL), 0, count, steps, shift,
                 grid.step_um, tally, tracing.scratch(),
             )  # fmt: skip
-            self._kept[key] = maps.transform_of_kernel(maps.symmetric(tally) / self._histories, grid)
+            self._kept[key] = maps.transform_of_kernel(maps.symmetric(tally) / count, grid)
         return self._kept[key]
 
     def _with_bounces(self, sample: Sample, ground: Ground, body: Body, grid: maps.Grid, first: Real) -> Real:
@@ -222,7 +225,8 @@ class Tracer:
             total = _settled(first + change, reflectance, inside, transform)
             if last or reflectance == 0.0:
                 break
-            count = self._histories // (1 if number else 4)
+            alone = sample.chips == 1 and not self._there.keys() & UNEVEN_GROUND
+            count = self._histories // ((SINGLE if alone else FEWER) * (1 if number else 4))
             before, change = change, self._change_of_bounce(sample, ground, body, grid, total[-1] * inside, count)
             last = number > 0 and abs(change - before).sum() < CHANGE * abs(total).sum()
             last = last or number == MOST_PASSES - 2

@@ -1,0 +1,115 @@
+"""Eight sealed sets that stay what they are: their seals, the table of their verdicts, and one verdict anew.
+
+    luxloop blind make FIXED --plan tests/validation/blind_test/fixed/plan.toml --pixels 32 --histories 400000 \
+        --seed 2026 --sets 8 --outside 2 --two 1 --nothing 2 --draws 2 --per-truth 6 \
+        --kinds clipped_pupil,weak_chip,swapped_layers,lens_flare,stray_daylight,smear,coma
+    luxloop blind diagnose FIXED --twin --among AMONG
+    luxloop blind score FIXED --json > FIXED/score.json
+
+Three images of 32 x 32 pixels, judged by the twin, whose own error the camera sees: these verdicts say nothing of how
+good a diagnosis is. They say when it changes, and that whatever is changed in a sealed set is found.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from luxloop.errors import InputError
+from luxloop.model_file import find_model
+from tests.validation.blind_test.pretend import change, change_answer
+from tests.validation.workers import Workers
+from validation.blind_test import folders, seals
+from validation.blind_test.folders import ANSWERS, INDEX, SETS, VERDICTS, read_index, read_json
+from validation.blind_test.judging import Judge, read_record
+from validation.blind_test.scoring import score
+from validation.comparing import Solver
+from validation.dataset.folder import read_dataset
+from validation.effects.known import Known
+from validation.prediction import Predictor
+
+FIXED = Path(__file__).parent / "fixed"
+NAMES = [f"set-{number}" for number in range(1, 9)]
+ANEW = "set-1"
+"""The one that is diagnosed anew."""
+
+
+@pytest.fixture
+def fixed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A copy of the folder, read as the release that made it: a later one refuses to add its verdicts to its own."""
+    folder = Path(shutil.copytree(FIXED, tmp_path / "fixed"))
+    made_by = read_json(folder / INDEX, "FOLDER", "an index", "")["version"]
+    for module in (folders, seals):
+        monkeypatch.setattr(module, "__version__", made_by)
+    return folder
+
+
+def recorded() -> dict[str, Any]:
+    """The score as it was when the sets were made."""
+    found: dict[str, Any] = json.loads((FIXED / "score.json").read_text(encoding="utf-8"))
+    return found
+
+
+def test_the_seals_open_and_the_table_is_the_recorded_one(fixed: Path) -> None:
+    """Of all eight sets: hits, counts, intervals, who was taken for whom, what was missed."""
+    found, before = json.loads(json.dumps(score([fixed]))), recorded()
+    assert found["sets"] == len(NAMES) == before["sets"]
+    assert len(found["table"]) == len(before["table"])
+    for row, old in zip(found["table"], before["table"], strict=True):
+        assert row == pytest.approx(old, rel=1e-9)
+    assert found["confusion"] == before["confusion"]
+    told = ("id", "truth", "said", "verdict", "set", "missed", "sigma", "sigma_rival", "sentence")
+    for one, old in zip(found["marks"], before["marks"], strict=True):
+        assert {name: one[name] for name in told} == {name: old[name] for name in told}
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_whatever_is_changed_in_a_set_is_found(fixed: Path, name: str) -> None:
+    """Its answer, its salt, an image, the verdict's data: the error names the set."""
+    kept = (fixed / ANSWERS / f"{name}.json").read_text()
+    change_answer(fixed, name, hidden=[])
+    if json.loads(kept)["answer"]["hidden"]:
+        with pytest.raises(InputError, match="changed after it was sealed") as error:
+            score([fixed])
+        assert error.value.field == f"{name}: answer"
+    (fixed / ANSWERS / f"{name}.json").write_text(kept)
+    change_answer(fixed, name, seed=0)
+    with pytest.raises(InputError, match="changed after it was sealed"):
+        score([fixed])
+    (fixed / ANSWERS / f"{name}.json").write_text(kept)
+    change(fixed / ANSWERS / f"{name}.json", salt="00" * 32)
+    with pytest.raises(InputError, match=f"{name}: answer"):
+        score([fixed])
+    (fixed / ANSWERS / f"{name}.json").write_text(kept)
+    dataset = read_dataset(fixed / SETS / name)
+    assert dataset.sha256 == json.loads(kept)["answer"]["dataset_sha256"]
+    image = fixed / SETS / name / "images" / "bare.tif"
+    data = bytearray(image.read_bytes())
+    data[-1] ^= 1
+    image.write_bytes(bytes(data))
+    with pytest.raises(InputError, match=r"bare\.tif"):
+        read_dataset(fixed / SETS / name)
+    change(fixed / VERDICTS / f"{name}.json", dataset_sha256="0" * 64)
+    with pytest.raises(InputError, match="the verdict is on other data"):
+        score([fixed])
+
+
+def test_one_set_diagnosed_anew_has_the_recorded_verdict(fixed: Path, tmp_path: Path) -> None:
+    """By the twin, and workers in this process: verdict, named effects, and their sizes."""
+    before = read_record(fixed, ANEW)
+    (fixed / VERDICTS / f"{ANEW}.json").unlink()
+    workers = Workers(tmp_path / "blobs")
+    solver = Solver(None, int(before["solver"]["seed"]))
+    judge = Judge(
+        fixed, find_model("paper"), Predictor(workers), Known.ask(workers), solver, None, tuple(before["among"])
+    )
+    (found,) = judge.verdicts(read_index(fixed))
+    assert (found["id"], found["verdict"], found["set"]) == (ANEW, before["verdict"], before["set"])
+    best, old = found["effects"][0], before["effects"][0]
+    assert best["name"] == old["name"]
+    assert best["explained"]["value"] == pytest.approx(old["explained"]["value"], abs=0.02)
+    assert found["seal"] == before["seal"]
