@@ -85,6 +85,18 @@ def test_a_sample_is_asked_for_as_it_stands(workers: Workers, model: Model) -> N
     assert (four.camera.gain_dn, four.camera.pixel_um) == (1.0, 50.0)
 
 
+def test_absorption_by_an_effect_is_the_absorption_of_the_chip(workers: Workers, model: Model) -> None:
+    """One column serves both, so that an effect that is named is known as well as what it adds to."""
+    path = "effects.chip_absorption.absorption_per_cm"
+    effect = AppliedEffect(name="chip_absorption", parameters={"absorption_per_cm": 120.0})
+    split = model.model_copy(update={"effects": (effect,)}).with_value(LOSS, 80.0)
+    (found,) = Predictor(workers).images(split, [view(FOUR)], (LOSS, path), Anchored(split, 0))
+    (whole,) = Predictor(workers).images(model.with_value(LOSS, 200.0), [view(FOUR)], (LOSS,), Anchored(model, 0))
+    np.testing.assert_array_equal(found.jacobian_per_mm2[path], found.jacobian_per_mm2[LOSS])
+    np.testing.assert_allclose(found.jacobian_per_mm2[path], whole.jacobian_per_mm2[LOSS], rtol=1e-6)
+    assert np.all(found.jacobian_per_mm2[path] < 0.0)
+
+
 def test_films_are_asked_for_once(workers: Workers, model: Model) -> None:
     """What is no part of the film moves without a new question; the film's own layers do not."""
     predictor = Predictor(workers)
