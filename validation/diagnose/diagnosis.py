@@ -21,7 +21,7 @@ from validation.diagnose.evidence import group_log_evidence, log_evidence
 from validation.diagnose.frozen import slopes_of
 from validation.diagnose.ground import Ground
 from validation.diagnose.in_words import left_in_words, limits_in_words
-from validation.diagnose.refit import Refitted, finished, limits_of, refit
+from validation.diagnose.refit import Refitted, finished, is_stuck, limits_of, refit, unstuck
 from validation.diagnose.score import Candidate, EffectScore, Projected, Scores, scores
 from validation.diagnose.verdict import (
     LEVEL,
@@ -39,7 +39,9 @@ from validation.fit.whitening import held_scale
 
 Real = NDArray[np.float64]
 
-SHORT_LIST = 5
+SHORT_LIST = 8
+WORTH = 0.3
+"""Of the largest drop of chi2: what a refit that is stuck must reach to be made anew."""
 MOST_STEPS = 3
 LITTLE = 0.02
 """Of chi2, that a fit without a missing effect may leave to be gained."""
@@ -147,6 +149,12 @@ def _step(ground: Ground, effects: Sequence[EffectSpec], means: Means, seed: int
         means.progress(0.2 + 0.7 * number / len(short), f"adding {one.name}")
         refits.append(refit(fit, one.best, slopes))
         explanations.append(_explanation(ground, one, refits[-1], best, [other.name for other in short]))
+    most = max((one.drop for one in explanations), default=0.0)
+    for number, one in enumerate(short):
+        if is_stuck(refits[number], fit) and explanations[number].drop > WORTH * most:
+            means.progress(0.85, f"fitting {one.name}, from where the model began")
+            refits[number] = unstuck(refits[number], fit)
+            explanations[number] = _explanation(ground, one, refits[number], best, [other.name for other in short])
     ended: set[int] = set()
     while (likely := _likeliest(explanations)) is not None and likely not in ended:
         means.progress(0.9, f"fitting {short[likely].name}")  # what is named is fitted to its end

@@ -6,7 +6,7 @@ those of the base fit and of the score test (`frozen`); what is kept is finished
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import TYPE_CHECKING
@@ -154,10 +154,7 @@ def switched(base: Fit, candidate: Candidate) -> Refitted:
     paths, ended = base.problem.unknowns.model_paths, base.problem.unknowns.named(base.values)
     problem, near = posed(base.problem, added(base.model, candidate, None), paths, ended)
     begun = replace(problem, model=added(base.problem.model, candidate, None))
-    of_model = {
-        *paths,
-        *(name for name in ended if name.endswith((".gain", ".offset_dn", ".scale")) or name == "gain"),
-    }
+    of_model = {*paths, *filter(_is_scale, ended)}
     anew = start_values(begun, {name: value for name, value in ended.items() if name not in of_model})
     starts = [(_lending(problem), near), (_lending(begun), anew)]
     residuals = [one.evaluate(values).residual(base.whitening) for one, values in starts]
@@ -166,7 +163,7 @@ def switched(base: Fit, candidate: Candidate) -> Refitted:
     found = refitted(frozen_at(problem, values), values, STEPS)
     better = _chi2(found) < _chi2(base)  # else Monte Carlo of its own, minutes for six images, is not worth it
     if better and (not found.converged or has_other_light(problem, found.values)):
-        found = fitted_anew(problem, found.values) or found
+        found = fitted_anew(problem, problem.unknowns.named(found.values)) or found
     return Refitted(candidate, 1.0, 0.0, found.residual, _chi2(found), False, found.model, found)
 
 
@@ -218,7 +215,8 @@ def finished(found: Refitted, predictor: ImagePredictor, curves: CurvePredictor 
     if not spec.twin:
         return _at_its_value(found, fit, predictor)
     problem, values = replace(fit.problem, predictor=predictor, predict_curves=curves), fit.values
-    anew = fitted_anew(problem, values) if has_other_light(problem, values) else None
+    other = has_other_light(problem, values)
+    anew = fitted_anew(problem, problem.unknowns.named(values)) if other else None
     if anew is not None:
         problem, values = anew.problem, anew.values
     own, as_well = _best_words(found, problem, anew or _renewed(problem, values))
@@ -256,7 +254,33 @@ def has_other_light(problem: Problem, values: Real) -> bool:
     return max(map(abs, changes), default=0.0) > OTHER_LIGHT
 
 
-def fitted_anew(problem: Problem, values: Real) -> Fit | None:
+def is_stuck(found: Refitted, base: Fit) -> bool:
+    """Whether a parameter that the base fit moves, too, is held at its limit."""
+    if found.fit is None or found.at_limit or found.candidate.is_switch or not found.candidate.effect.twin:
+        return False
+    return not {*base.problem.unknowns.model_paths}.isdisjoint(found.fit.at_limit)
+
+
+def unstuck(found: Refitted, base: Fit) -> Refitted:
+    """The same from where the model began, not from where it went to make up for the effect, if that fits better."""
+    fit = found.fit
+    if fit is None:
+        return found
+    model = added(base.problem.model, found.candidate, found.value)
+    problem = replace(
+        fit.problem, model=model, predictor=base.problem.predictor, predict_curves=base.problem.predict_curves
+    )
+    start = {name: value for name, value in problem.unknowns.named(fit.values).items() if not _is_scale(name)}
+    anew = fitted_anew(problem, start | {path: float(model.leaves()[path]) for path in problem.unknowns.model_paths})
+    return found if anew is None or _chi2(anew) >= found.chi2 else _with(found, anew)
+
+
+def _is_scale(name: str) -> bool:
+    """Whether a straight line through an image, or a curve, tells where it starts."""
+    return name == "gain" or name.endswith((".gain", ".offset_dn", ".scale"))
+
+
+def fitted_anew(problem: Problem, start: Mapping[str, float]) -> Fit | None:
     """The fit from these values by the twin, then about Monte Carlo of its own; None where there is no Monte Carlo.
 
     What made up for a missing effect leads the long way back only where nothing but the twin has a say.
@@ -265,9 +289,9 @@ def fitted_anew(problem: Problem, values: Real) -> Fit | None:
     if anchor is None or not anchor.histories:
         return None
     return fitted(
-        unknowns.model(problem.model, values), problem.images, problem.predictor, free=unknowns.model_paths,
+        problem.model, problem.images, problem.predictor, free=unknowns.model_paths, start=start,
         curves=problem.curves, anchor_at=lambda there: replace(anchor, model=there, poses=()),
-        predict_curves=problem.predict_curves, discrepancies=problem.discrepancies, start=unknowns.named(values),
+        predict_curves=problem.predict_curves, discrepancies=problem.discrepancies,
         others=[one for one in unknowns.parameters if one.name in unknowns.other_paths],
     )  # fmt: skip
 

@@ -16,9 +16,18 @@ from numpy.typing import NDArray
 from luxloop.effect import AppliedEffect
 from luxloop.model import Model
 from tests.validation.analytic import ARRAY, HALO, MODEL, PATHS, SIGMA, SINGLE, Spots, blank
-from tests.validation.diagnose.made_up import GAIN, THIRD, seen, spec
+from tests.validation.diagnose.made_up import GAIN, THIRD, Affected, seen, spec
 from validation.diagnose.frozen import FrozenImages, frozen_at, slopes_of, without
-from validation.diagnose.refit import Refitted, finished, fitted_anew, freed, has_other_light, switched
+from validation.diagnose.refit import (
+    Refitted,
+    finished,
+    fitted_anew,
+    freed,
+    has_other_light,
+    is_stuck,
+    switched,
+    unstuck,
+)
 from validation.diagnose.score import Candidate, Score
 from validation.effects.known import applied, with_effect
 from validation.effects.signatures import Column, Projection
@@ -212,7 +221,7 @@ def test_monte_carlo_is_asked_for_anew_where_the_light_has_changed(base: Fit) ->
     darker = base.values.copy()
     darker[problem.unknowns.names.index(HALO)] *= 0.5
     assert has_other_light(problem, darker)
-    moved = fitted_anew(problem, darker)
+    moved = fitted_anew(problem, problem.unknowns.named(darker))
     assert moved is not None
     about = moved.problem.anchor
     assert about is not None
@@ -221,7 +230,26 @@ def test_monte_carlo_is_asked_for_anew_where_the_light_has_changed(base: Fit) ->
     assert moved.chi2 == pytest.approx(base.chi2, abs=1.0)
     lent = replace(problem, anchor=replace(anchor, histories=0))
     assert not has_other_light(lent, darker)
-    assert fitted_anew(lent, darker) is None
+    assert fitted_anew(lent, lent.unknowns.named(darker)) is None
+
+
+def test_a_refit_at_a_limit_is_made_anew_from_where_the_model_began(base: Fit) -> None:
+    """A base fit at a limit made up for the effect: what begins anew comes back, if it fits better."""
+    score = score_of(base)
+    found = freed(base, score, slopes_of(base))
+    assert found.fit is not None
+    kept, by_twin = found.fit, found.candidate.effect.model_copy(update={"twin": True})
+    found = replace(found, candidate=replace(found.candidate, effect=by_twin))
+    assert not is_stuck(found, base)
+    at_limit = replace(found, chi2=found.chi2 + 50.0, fit=replace(kept, at_limit=(HALO,)))
+    assert is_stuck(at_limit, base)
+    assert not is_stuck(replace(at_limit, at_limit=True), base)
+    anchored = replace(base, problem=replace(base.problem, predictor=Affected()))
+    back = unstuck(at_limit, anchored)
+    assert back.fit is not None
+    assert back.chi2 == pytest.approx(found.chi2, abs=3.0)  # another anchor, other noise
+    assert abs(back.value - found.value) < 0.3 * found.error
+    assert unstuck(replace(at_limit, chi2=0.0), anchored).chi2 == 0.0
 
 
 class Turned(Spots):
