@@ -6,8 +6,9 @@
     luxloop blind diagnose FIXED --histories 1000000 --among vignetting,dead_chip,dbr_layer_order,ambient_gradient
     luxloop blind score FIXED --json > FIXED/score.json
 
-Two of the eight, with nothing hidden, have no verdict yet. Three images of 32 x 32 pixels, four effects to choose from, a Monte Carlo as noisy as the camera: these verdicts say
-little of how good a diagnosis is. They say when it changes, and that whatever is changed in a sealed set is found.
+Two of the eight, with nothing hidden, have no verdict yet. Three images of 32 x 32 pixels, four effects to choose
+from, a Monte Carlo as noisy as the camera: these verdicts say little of how good a diagnosis is. They say when it
+changes, and that whatever is changed in a sealed set is found.
 """
 
 from __future__ import annotations
