@@ -100,6 +100,7 @@ def test_whatever_is_changed_in_a_set_is_found(fixed: Path, name: str) -> None:
         score([fixed])
 
 
+@pytest.mark.slow
 def test_one_set_diagnosed_anew_has_the_recorded_verdict(fixed: Path, tmp_path: Path) -> None:
     """By workers in this process: verdict, named effects, share explained."""
     before = read_record(fixed, ANEW)
