@@ -1,4 +1,4 @@
-"""Eight sealed sets that stay what they are: their seals, the table of their verdicts, and one verdict anew.
+"""Sealed sets that stay what they are: their seals, the table of their verdicts, and one verdict anew.
 
     luxloop blind make FIXED --plan tests/validation/blind_test/fixed/plan.toml --pixels 32 --histories 400000 \
         --seed 2026 --sets 8 --outside 2 --two 1 --nothing 2 --draws 2 --per-truth 6 \
@@ -6,8 +6,9 @@
     luxloop blind diagnose FIXED --histories 1000000 --among vignetting,dead_chip,dbr_layer_order,ambient_gradient
     luxloop blind score FIXED --json > FIXED/score.json
 
-Three images of 32 x 32 pixels, four effects to choose from, a Monte Carlo as noisy as the camera: these verdicts say
-little of how good a diagnosis is. They say when it changes, and that whatever is changed in a sealed set is found.
+Two of the eight, with nothing hidden, have no verdict yet. Three images of 32 x 32 pixels, four effects to choose
+from, a Monte Carlo as noisy as the camera: these verdicts say little of how good a diagnosis is. They say when it
+changes, and that whatever is changed in a sealed set is found.
 """
 
 from __future__ import annotations
@@ -33,8 +34,8 @@ from validation.effects.known import Known
 from validation.prediction import Predictor
 
 FIXED = Path(__file__).parent / "fixed"
-NAMES = [f"set-{number}" for number in range(1, 9)]
-ANEW = "set-1"
+NAMES = sorted(path.stem for path in (FIXED / VERDICTS).glob("*.json"))
+ANEW = "set-4"
 """The one that is diagnosed anew."""
 
 
@@ -55,12 +56,13 @@ def recorded() -> dict[str, Any]:
 
 
 def test_the_seals_open_and_the_table_is_the_recorded_one(fixed: Path) -> None:
-    """Of all eight sets: hits, counts, intervals, who was taken for whom, what was missed."""
+    """Of all sets with a verdict: hits, counts, intervals, who was taken for whom, what was missed."""
     found, before = json.loads(json.dumps(score([fixed]))), recorded()
     assert found["sets"] == len(NAMES) == before["sets"]
     assert len(found["table"]) == len(before["table"])
     for row, old in zip(found["table"], before["table"], strict=True):
-        assert row == pytest.approx(old, rel=1e-9)
+        for name, value in old.items():
+            assert row[name] == (pytest.approx(value, rel=1e-9) if isinstance(value, float) else value)
     assert found["confusion"] == before["confusion"]
     told = ("id", "truth", "said", "verdict", "set", "missed", "sigma", "sigma_rival", "sentence")
     for one, old in zip(found["marks"], before["marks"], strict=True):
@@ -98,6 +100,7 @@ def test_whatever_is_changed_in_a_set_is_found(fixed: Path, name: str) -> None:
         score([fixed])
 
 
+@pytest.mark.slow
 def test_one_set_diagnosed_anew_has_the_recorded_verdict(fixed: Path, tmp_path: Path) -> None:
     """By workers in this process: verdict, named effects, share explained."""
     before = read_record(fixed, ANEW)
