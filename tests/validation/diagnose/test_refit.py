@@ -248,7 +248,7 @@ def test_a_refit_at_a_limit_is_made_anew_from_where_the_model_began(base: Fit) -
     back = unstuck(at_limit, anchored)
     assert back.fit is not None
     assert back.chi2 == pytest.approx(found.chi2, abs=3.0)  # another anchor, other noise
-    assert abs(back.value - TRUTH) < 3.0 * back.error
+    assert back.value == pytest.approx(found.value, rel=0.05)  # frozen derivatives against its own
     assert unstuck(replace(at_limit, chi2=0.0), anchored).chi2 == 0.0
 
 
