@@ -6,7 +6,7 @@ those of the base fit and of the score test (`frozen`); what is kept is finished
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import TYPE_CHECKING
@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 from luxloop.effect import EffectParameter, Value
 from luxloop.model import Fit as Limits
 from luxloop.model import Model
+from validation.diagnose.anew import fitted_anew, has_other_light, is_scale
 from validation.diagnose.evidence import logs_of_spreads
 from validation.diagnose.frozen import FrozenCurves, FrozenImages, Slopes, frozen_at, without
 from validation.effects.known import CHIP, applied, off_values, with_effect
 from validation.fit import Fit, prior_chi2, refitted, unknowns_of
-from validation.fit import fit as fitted
 from validation.fit.image_fit import ANCHOR_MOVE, MAX_ANCHORS
 from validation.fit.problem import CurvePredictor, ImagePredictor, Problem
 from validation.fit.start import start_values
@@ -40,9 +40,6 @@ MOST_HALVINGS = 4
 
 SLOPE_SHARE = 0.1
 """Of its range: by which an effect that the twin cannot represent is moved for the slope at its own value."""
-
-OTHER_LIGHT = 0.1
-"""Share by which the light of an image may differ from that at the anchor, before Monte Carlo is asked for anew."""
 
 STEPS, FURTHER = 12, 8
 """Of a fit with frozen derivatives, and of one with its own, after it: what explains little never converges, and what
@@ -154,7 +151,7 @@ def switched(base: Fit, candidate: Candidate) -> Refitted:
     paths, ended = base.problem.unknowns.model_paths, base.problem.unknowns.named(base.values)
     problem, near = posed(base.problem, added(base.model, candidate, None), paths, ended)
     begun = replace(problem, model=added(base.problem.model, candidate, None))
-    of_model = {*paths, *filter(_is_scale, ended)}
+    of_model = {*paths, *filter(is_scale, ended)}
     anew = start_values(begun, {name: value for name, value in ended.items() if name not in of_model})
     starts = [(_lending(problem), near), (_lending(begun), anew)]
     residuals = [one.evaluate(values).residual(base.whitening) for one, values in starts]
@@ -233,27 +230,6 @@ def finished(found: Refitted, predictor: ImagePredictor, curves: CurvePredictor 
     return replace(_with(found, own), as_well=as_well)
 
 
-def has_other_light(problem: Problem, values: Real) -> bool:
-    """Whether an image has another light at these values than at the anchor; never where there is no Monte Carlo.
-
-    What the twin errs by, and the noise of Monte Carlo, is carried over as it is from the anchor, but it goes with
-    the light: of a chip that absorbs nothing it is several times too large for one that absorbs 200 /cm.
-    """
-    anchor, known = problem.anchor, problem.unknowns.named(values)
-    if anchor is None or not anchor.histories:
-        return False
-    alone = replace(anchor, histories=0)
-    here, there = (
-        problem.predictor.images(one, problem.views(one, known), (), alone)
-        for one in (problem.unknowns.model(problem.model, values), anchor.model)
-    )
-    changes = [
-        float(one.irradiance_per_mm2.sum() / other.irradiance_per_mm2.sum()) - 1.0
-        for one, other in zip(here, there, strict=True)
-    ]
-    return max(map(abs, changes), default=0.0) > OTHER_LIGHT
-
-
 def is_stuck(found: Refitted, base: Fit) -> bool:
     """Whether a parameter that the base fit moves, too, is held at its limit."""
     if found.fit is None or found.at_limit or found.candidate.is_switch or not found.candidate.effect.twin:
@@ -270,30 +246,9 @@ def unstuck(found: Refitted, base: Fit) -> Refitted:
     problem = replace(
         fit.problem, model=model, predictor=base.problem.predictor, predict_curves=base.problem.predict_curves
     )
-    start = {name: value for name, value in problem.unknowns.named(fit.values).items() if not _is_scale(name)}
+    start = {name: value for name, value in problem.unknowns.named(fit.values).items() if not is_scale(name)}
     anew = fitted_anew(problem, start | {path: float(model.leaves()[path]) for path in problem.unknowns.model_paths})
     return found if anew is None or _chi2(anew) >= found.chi2 else _with(found, anew)
-
-
-def _is_scale(name: str) -> bool:
-    """Whether a straight line through an image, or a curve, tells where it starts."""
-    return name == "gain" or name.endswith((".gain", ".offset_dn", ".scale"))
-
-
-def fitted_anew(problem: Problem, start: Mapping[str, float]) -> Fit | None:
-    """The fit from these values by the twin, then about Monte Carlo of its own; None where there is no Monte Carlo.
-
-    What made up for a missing effect leads the long way back only where nothing but the twin has a say.
-    """
-    anchor, unknowns = problem.anchor, problem.unknowns
-    if anchor is None or not anchor.histories:
-        return None
-    return fitted(
-        problem.model, problem.images, problem.predictor, free=unknowns.model_paths, start=start,
-        curves=problem.curves, anchor_at=lambda there: replace(anchor, model=there, poses=()),
-        predict_curves=problem.predict_curves, discrepancies=problem.discrepancies,
-        others=[one for one in unknowns.parameters if one.name in unknowns.other_paths],
-    )  # fmt: skip
 
 
 def _best_words(found: Refitted, problem: Problem, own: Fit) -> tuple[Fit, tuple[Words, ...]]:

@@ -154,7 +154,8 @@ def decided(
     held = "a held-out test is not possible with these data"
     if best.held_out_percent is not None:
         before, after = best.held_out_percent
-        held = f"lowers the held-out error from {before:.3g} % to {after:.3g} %"
+        moves = "lowers" if after < before else "raises"
+        held = f"{moves} the held-out error from {before:.3g} % to {after:.3g} %"
     following = f" Next best: {_next_best(others[0])}." if others else ""
     sentence = (
         f"One effect explains the misfit: {best.name}, {best.size}."

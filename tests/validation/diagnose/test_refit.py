@@ -17,13 +17,12 @@ from luxloop.effect import AppliedEffect
 from luxloop.model import Model
 from tests.validation.analytic import ARRAY, HALO, MODEL, PATHS, SIGMA, SINGLE, Spots, blank
 from tests.validation.diagnose.made_up import GAIN, THIRD, Affected, seen, spec
+from validation.diagnose.anew import fitted_anew, has_other_light
 from validation.diagnose.frozen import FrozenImages, frozen_at, slopes_of, without
 from validation.diagnose.refit import (
     Refitted,
     finished,
-    fitted_anew,
     freed,
-    has_other_light,
     is_stuck,
     switched,
     unstuck,
