@@ -8,13 +8,20 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from validation.fit import Fit, fit
+from validation.diagnose.frozen import frozen_at
+from validation.fit import Fit, refitted
+from validation.fit.image_fit import ANCHOR_MOVE, MAX_ANCHORS, TWIN_STEPS
+from validation.fit.parameters import Unknowns
 from validation.fit.problem import Problem
+from validation.fit.start import start_values
 
 Real = NDArray[np.float64]
 
 OTHER_LIGHT = 0.1
 """Share by which the light of an image may differ from that at the anchor, before Monte Carlo is asked for anew."""
+
+STEPS = 12
+"""Of a fit with frozen derivatives: what explains little never converges."""
 
 
 def has_other_light(problem: Problem, values: Real) -> bool:
@@ -46,14 +53,27 @@ def is_scale(name: str) -> bool:
 def fitted_anew(problem: Problem, start: Mapping[str, float]) -> Fit | None:
     """The fit from these values by the twin, then about Monte Carlo of its own; None where there is no Monte Carlo.
 
-    What made up for a missing effect leads the long way back only where nothing but the twin has a say.
+    What made up for a missing effect leads the long way back only where nothing but the twin has a say. Derivatives
+    are taken where the twin ended, and once more with each anchor: those of effects are a walk for each moved chip.
     """
     anchor, unknowns = problem.anchor, problem.unknowns
     if anchor is None or not anchor.histories:
         return None
-    return fit(
-        problem.model, problem.images, problem.predictor, free=unknowns.model_paths, start=start,
-        curves=problem.curves, anchor_at=lambda there: replace(anchor, model=there, poses=()),
-        predict_curves=problem.predict_curves, discrepancies=problem.discrepancies,
-        others=[one for one in unknowns.parameters if one.name in unknowns.other_paths],
-    )  # fmt: skip
+    lent = replace(problem, anchor=replace(anchor, model=problem.model, histories=0, poses=()))
+    found = refitted(lent, start_values(lent, start), TWIN_STEPS)
+    for _ in range(MAX_ANCHORS):
+        about = replace(anchor, model=found.model, poses=tuple(found.poses.values()))
+        there = replace(
+            found.problem, anchor=about, predictor=problem.predictor, predict_curves=problem.predict_curves
+        )
+        before, found = found, refitted(frozen_at(there, found.values), found.values, STEPS)
+        moves = [abs(found.value(path) - before.value(path)) / found.error(path) for path in moving(found, unknowns)]
+        if max(moves, default=0.0) <= ANCHOR_MOVE:
+            break
+    own = replace(found.problem, predictor=problem.predictor, predict_curves=problem.predict_curves)
+    return replace(found, problem=own)
+
+
+def moving(found: Fit, unknowns: Unknowns) -> list[str]:
+    """The model's parameters that a fit knows an error of."""
+    return [path for path in unknowns.model_paths if found.error(path) > 0.0]

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from luxloop.effect import EffectParameter, Value
 from luxloop.model import Fit as Limits
 from luxloop.model import Model
-from validation.diagnose.anew import fitted_anew, has_other_light, is_scale
+from validation.diagnose.anew import STEPS, fitted_anew, has_other_light, is_scale
 from validation.diagnose.evidence import logs_of_spreads
 from validation.diagnose.frozen import FrozenCurves, FrozenImages, Slopes, frozen_at, without
 from validation.effects.known import CHIP, applied, off_values, with_effect
@@ -41,9 +41,8 @@ MOST_HALVINGS = 4
 SLOPE_SHARE = 0.1
 """Of its range: by which an effect that the twin cannot represent is moved for the slope at its own value."""
 
-STEPS, FURTHER = 12, 8
-"""Of a fit with frozen derivatives, and of one with its own, after it: what explains little never converges, and what
-is named is fitted further."""
+FURTHER = 8
+"""Steps of a fit with its own derivatives, after one with frozen ones: what is named is fitted further."""
 
 AS_WELL = 2.0
 """Of chi2, within which words fit as well, and the first in the catalogue's order, the most usual ones, are taken:
