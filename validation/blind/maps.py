@@ -44,6 +44,10 @@ class Grid:
         one = np.clip((half_um - np.abs(self.at_um)) / self.step_um + 0.5, 0.0, 1.0)
         return np.outer(one, one)
 
+    def twice(self) -> Grid:
+        """As wide as places of this grid can lie apart: on it nothing comes round to the other side."""
+        return Grid(2 * self.size, self.step_um, self.height_um)
+
     def waves(self) -> tuple[Real, Real]:
         """k along y (y, 1) and along x (x,), as `scipy.fft.rfft2` has them."""
         along = (fft.fftfreq(self.size)[:, None], fft.rfftfreq(self.size))
@@ -124,8 +128,10 @@ def transform_of_kernel(kernel: Real, grid: Grid) -> Real:
 
 
 def convolved(light: Real, transform: Real) -> Real:
-    """Samples (y, x) under kernels (plane, y, x) given by their transforms."""
-    return np.asarray(fft.irfft2(fft.rfft2(light) * transform, light.shape[-2:]))
+    """Samples (y, x) under kernels (plane, y, x) given by their transforms on a grid twice as wide."""
+    rows, columns = light.shape
+    wide = (2 * rows, 2 * columns)
+    return np.asarray(fft.irfft2(fft.rfft2(light, wide) * transform, wide)[..., :rows, :columns])
 
 
 def cumulative(source: Real) -> tuple[Real, Real]:

@@ -201,17 +201,21 @@ class Tracer:
         return sample.rows == sample.columns and not self._there.keys() & lopsided
 
     def _kernel(self, ground: Ground, body: Body, grid: maps.Grid) -> Real:
-        """The transform (plane, ky, kx) of what one bounce makes of light at a point, per flux that bounces."""
+        """The transform (plane, ky, kx) of what one bounce makes of light at a point, per flux that bounces.
+
+        On a grid twice as wide: on that of the module light from one side comes round to the other (0.16 % of an
+        image's mean, 1 % of its rim).
+        """
         key = ("kernel", grid, ground.distance)
         if key not in self._kept:
-            count = max(1, self._histories // FEWER)
-            tally = np.zeros((self._planes, grid.size, grid.size))
+            wide, count = grid.twice(), max(1, self._histories // FEWER)
+            tally = np.zeros((self._planes, wide.size, wide.size))
             steps, shift = maps.recurrence(tracing.POINTS, (self._seed, KERNEL))
             tracing.bounce_kernel(
                 bare(ground), body, self._slant, np.uint64(self._seed * 8 + KERNEL), 0, count, steps, shift,
                 grid.step_um, tally, tracing.scratch(),
             )  # fmt: skip
-            self._kept[key] = maps.transform_of_kernel(maps.symmetric(tally) / count, grid)
+            self._kept[key] = maps.transform_of_kernel(maps.symmetric(tally) / count, wide)
         return self._kept[key]
 
     def _with_bounces(self, sample: Sample, ground: Ground, body: Body, grid: maps.Grid, first: Real) -> Real:

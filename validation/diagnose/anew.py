@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from validation.diagnose.frozen import frozen_at
 from validation.fit import Fit, refitted
-from validation.fit.image_fit import ANCHOR_MOVE, MAX_ANCHORS, TWIN_STEPS
-from validation.fit.parameters import Unknowns
+from validation.fit.image_fit import ANCHOR_MOVE, MAX_ANCHORS, TWIN_STEPS, moved
 from validation.fit.problem import Problem
 from validation.fit.start import start_values
 
@@ -56,7 +55,7 @@ def fitted_anew(problem: Problem, start: Mapping[str, float]) -> Fit | None:
     What made up for a missing effect leads the long way back only where nothing but the twin has a say. Derivatives
     are taken where the twin ended, and once more with each anchor: those of effects are a walk for each moved chip.
     """
-    anchor, unknowns = problem.anchor, problem.unknowns
+    anchor = problem.anchor
     if anchor is None or not anchor.histories:
         return None
     lent = replace(problem, anchor=replace(anchor, model=problem.model, histories=0, poses=()))
@@ -67,13 +66,7 @@ def fitted_anew(problem: Problem, start: Mapping[str, float]) -> Fit | None:
             found.problem, anchor=about, predictor=problem.predictor, predict_curves=problem.predict_curves
         )
         before, found = found, refitted(frozen_at(there, found.values), found.values, STEPS)
-        moves = [abs(found.value(path) - before.value(path)) / found.error(path) for path in moving(found, unknowns)]
-        if max(moves, default=0.0) <= ANCHOR_MOVE:
+        if moved(found, before, problem.unknowns.model_paths) <= ANCHOR_MOVE:
             break
     own = replace(found.problem, predictor=problem.predictor, predict_curves=problem.predict_curves)
     return replace(found, problem=own)
-
-
-def moving(found: Fit, unknowns: Unknowns) -> list[str]:
-    """The model's parameters that a fit knows an error of."""
-    return [path for path in unknowns.model_paths if found.error(path) > 0.0]

@@ -154,11 +154,10 @@ def switched(base: Fit, candidate: Candidate) -> Refitted:
     anew = start_values(begun, {name: value for name, value in ended.items() if name not in of_model})
     starts = [(_lending(problem), near), (_lending(begun), anew)]
     residuals = [one.evaluate(values).residual(base.whitening) for one, values in starts]
-    better = int(np.argmin([residual @ residual for residual in residuals]))
-    problem, values = starts[better]
+    problem, values = starts[int(np.argmin([residual @ residual for residual in residuals]))]
     found = refitted(frozen_at(problem, values), values, STEPS)
-    better = _chi2(found) < _chi2(base)  # else Monte Carlo of its own, minutes for six images, is not worth it
-    if better and (not found.converged or has_other_light(problem, found.values)):
+    gains = _chi2(found) < _chi2(base)  # else Monte Carlo of its own, minutes for six images, is not worth it
+    if gains and (not found.converged or has_other_light(problem, found.values)):
         found = fitted_anew(problem, problem.unknowns.named(found.values)) or found
     return Refitted(candidate, 1.0, 0.0, found.residual, _chi2(found), False, found.model, found)
 

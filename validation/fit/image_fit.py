@@ -88,7 +88,7 @@ def fit(
             break
         anchored = replace(found.problem, anchor=replace(anchor, poses=tuple(found.poses.values())))
         at_anchor, found = found, _unclipped(anchored, found.values, found.iterations)
-        if _moved(found, at_anchor, paths) < ANCHOR_MOVE:
+        if moved(found, at_anchor, paths) < ANCHOR_MOVE:
             break
     return _quieter(found, most_histories)
 
@@ -254,7 +254,7 @@ def _is_dark(problem: Problem, values: Real) -> bool:
     return any(gain_of(image, by_name) <= 0.0 for image in problem.images)
 
 
-def _moved(found: Fit, before: Fit, paths: Sequence[str]) -> float:
+def moved(found: Fit, before: Fit, paths: Sequence[str]) -> float:
     """The largest move of a model parameter, in its own errors."""
     moves = [
         abs(found.value(path) - before.value(path)) / found.error(path) for path in paths if found.error(path) > 0.0
