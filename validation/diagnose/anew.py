@@ -13,6 +13,7 @@ from validation.fit import Fit, refitted
 from validation.fit.image_fit import ANCHOR_MOVE, MAX_ANCHORS, TWIN_STEPS, moved
 from validation.fit.problem import Problem
 from validation.fit.start import start_values
+from validation.prediction import Anchored
 
 Real = NDArray[np.float64]
 
@@ -30,7 +31,7 @@ def has_other_light(problem: Problem, values: Real) -> bool:
     the light: of a chip that absorbs nothing it is several times too large for one that absorbs 200 /cm.
     """
     anchor, known = problem.anchor, problem.unknowns.named(values)
-    if anchor is None or not anchor.histories:
+    if anchor is None or not has_monte_carlo(problem):
         return False
     alone = replace(anchor, histories=0)
     here, there = (
@@ -49,24 +50,54 @@ def is_scale(name: str) -> bool:
     return name == "gain" or name.endswith((".gain", ".offset_dn", ".scale"))
 
 
-def fitted_anew(problem: Problem, start: Mapping[str, float]) -> Fit | None:
-    """The fit from these values by the twin, then about Monte Carlo of its own; None where there is no Monte Carlo.
+def start_of(problem: Problem, ended: Mapping[str, float]) -> dict[str, float]:
+    """Where a fit of the problem's model begins by itself: at its own values, images placed as another fit ended."""
+    leaves = problem.model.leaves()
+    placed = {name: value for name, value in ended.items() if not is_scale(name)}
+    return placed | {path: float(leaves[path]) for path in problem.unknowns.model_paths}
 
-    What made up for a missing effect leads the long way back only where nothing but the twin has a say. Derivatives
-    are taken where the twin ended, and once more with each anchor: those of effects are a walk for each moved chip.
+
+def by_twin(problem: Problem, start: Mapping[str, float]) -> Fit:
+    """As far as the twin alone goes from there in a few steps, with the chip exits of the problem's model."""
+    anchor = problem.anchor or Anchored(problem.model, 0)
+    lent = replace(problem, anchor=replace(anchor, model=problem.model, histories=0, poses=()))
+    return refitted(lent, start_values(lent, start), TWIN_STEPS)
+
+
+def about_its_own(problem: Problem, found: Fit) -> Fit:
+    """The fit about Monte Carlo at what a fit has found, and anew where that moves it; histories of the problem's.
+
+    Derivatives are taken once with each anchor: those of effects are a walk for each moved chip.
     """
     anchor = problem.anchor
-    if anchor is None or not anchor.histories:
-        return None
-    lent = replace(problem, anchor=replace(anchor, model=problem.model, histories=0, poses=()))
-    found = refitted(lent, start_values(lent, start), TWIN_STEPS)
+    if anchor is None:
+        raise ValueError("a fit about Monte Carlo needs an anchor to take histories and seed from")
     for _ in range(MAX_ANCHORS):
         about = replace(anchor, model=found.model, poses=tuple(found.poses.values()))
-        there = replace(
-            found.problem, anchor=about, predictor=problem.predictor, predict_curves=problem.predict_curves
-        )
+        there = thawed(found, problem).problem
+        there = replace(there, anchor=about)
         before, found = found, refitted(frozen_at(there, found.values), found.values, STEPS)
         if moved(found, before, problem.unknowns.model_paths) <= ANCHOR_MOVE:
             break
+    return thawed(found, problem)
+
+
+def fitted_anew(problem: Problem, start: Mapping[str, float]) -> Fit | None:
+    """The fit from these values by the twin, then about Monte Carlo of its own; None where there is no Monte Carlo.
+
+    What made up for a missing effect leads the long way back only where nothing but the twin has a say.
+    """
+    if not has_monte_carlo(problem):
+        return None
+    return about_its_own(problem, by_twin(problem, start))
+
+
+def has_monte_carlo(problem: Problem) -> bool:
+    """Whether its anchor is one."""
+    return problem.anchor is not None and problem.anchor.histories > 0
+
+
+def thawed(found: Fit, problem: Problem) -> Fit:
+    """A fit whose derivatives are no longer frozen, but those of a problem's predictors."""
     own = replace(found.problem, predictor=problem.predictor, predict_curves=problem.predict_curves)
     return replace(found, problem=own)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import product
 from typing import TYPE_CHECKING
 
@@ -17,7 +18,17 @@ from numpy.typing import NDArray
 from luxloop.effect import EffectParameter, Value
 from luxloop.model import Fit as Limits
 from luxloop.model import Model
-from validation.diagnose.anew import STEPS, fitted_anew, has_other_light, is_scale
+from validation.diagnose.anew import (
+    STEPS,
+    about_its_own,
+    by_twin,
+    fitted_anew,
+    has_monte_carlo,
+    has_other_light,
+    is_scale,
+    start_of,
+    thawed,
+)
 from validation.diagnose.evidence import logs_of_spreads
 from validation.diagnose.frozen import FrozenCurves, FrozenImages, Slopes, frozen_at, without
 from validation.effects.known import CHIP, applied, off_values, with_effect
@@ -145,7 +156,8 @@ def switched(base: Fit, candidate: Candidate) -> Refitted:
     """The effect is there, with the word of its shape; derivatives are of where it begins: it is no small change.
 
     Begun where the fit without it ended, or, where that went far to make up for it, where it began: from what fits
-    better.
+    better. Where the twin alone, begun with the model's own values, fits better with it than without, the fit is made
+    anew: beside an anchor in a corner, a right one may fit worse than nothing.
     """
     paths, ended = base.problem.unknowns.model_paths, base.problem.unknowns.named(base.values)
     problem, near = posed(base.problem, added(base.model, candidate, None), paths, ended)
@@ -156,10 +168,19 @@ def switched(base: Fit, candidate: Candidate) -> Refitted:
     residuals = [one.evaluate(values).residual(base.whitening) for one, values in starts]
     problem, values = starts[int(np.argmin([residual @ residual for residual in residuals]))]
     found = refitted(frozen_at(problem, values), values, STEPS)
-    gains = _chi2(found) < _chi2(base)  # else Monte Carlo of its own, minutes for six images, is not worth it
-    if gains and (not found.converged or has_other_light(problem, found.values)):
-        found = fitted_anew(problem, problem.unknowns.named(found.values)) or found
+    settled = found.converged and _chi2(found) < _chi2(base) and not has_other_light(problem, found.values)
+    if has_monte_carlo(problem) and not settled:
+        own = by_twin(begun, start_of(begun, ended))
+        if _chi2(own) < _chi2(without_by_twin(base)):
+            own = about_its_own(begun, own)
+            found = own if _chi2(own) < _chi2(found) else found
     return Refitted(candidate, 1.0, 0.0, found.residual, _chi2(found), False, found.model, found)
+
+
+@lru_cache(maxsize=2)
+def without_by_twin(base: Fit) -> Fit:
+    """The base model as far as the twin alone takes it: what switches are held against, once for all of them."""
+    return by_twin(base.problem, start_of(base.problem, base.problem.unknowns.named(base.values)))
 
 
 def _lending(problem: Problem) -> Problem:
@@ -225,7 +246,7 @@ def finished(found: Refitted, predictor: ImagePredictor, curves: CurvePredictor 
         better = _renewed(*posed(problem, model, (*own.problem.unknowns.model_paths, *limits), start))
         if better.converged and not any(path in better.at_limit for path in limits):
             own = better
-    return replace(_with(found, own), as_well=as_well)
+    return replace(_with(found, thawed(own, problem)), as_well=as_well)
 
 
 def is_stuck(found: Refitted, base: Fit) -> bool:
@@ -244,8 +265,7 @@ def unstuck(found: Refitted, base: Fit) -> Refitted:
     problem = replace(
         fit.problem, model=model, predictor=base.problem.predictor, predict_curves=base.problem.predict_curves
     )
-    start = {name: value for name, value in problem.unknowns.named(fit.values).items() if not is_scale(name)}
-    anew = fitted_anew(problem, start | {path: float(model.leaves()[path]) for path in problem.unknowns.model_paths})
+    anew = fitted_anew(problem, start_of(problem, problem.unknowns.named(fit.values)))
     return found if anew is None or _chi2(anew) >= found.chi2 else _with(found, anew)
 
 
