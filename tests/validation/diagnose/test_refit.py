@@ -286,3 +286,34 @@ def test_a_switch_is_fitted_together_with_what_made_up_for_it() -> None:
     assert found.fit is not None
     assert found.fit.value(HALO) == pytest.approx(0.2, abs=4.0 * found.fit.error(HALO))
     assert found.fit.chi2 == pytest.approx(found.fit.freedom, rel=0.1)
+
+
+class Misleading(Spots):
+    """Spots of which a switch adds a ripple; Monte Carlo without it has most of the ripple, with it none beyond."""
+
+    def images(
+        self, model: Model, views: Sequence[View], paths: Sequence[str] = (), anchor: Anchored | None = None
+    ) -> list[Predicted]:
+        """As workers answer: what the twin errs by at the anchor is carried over."""
+        misled = anchor is not None and anchor.histories > 0 and not anchor.model.effects
+        ripple = strength(TRUTH) * ((1.0 if model.effects else 0.0) + (0.6 if misled else 0.0))
+        rippled = MODEL.model_copy(update={"effects": (applied(RIPPLE, {"size": ripple}),)})
+        found = []
+        for view, one in zip(views, super().images(model, views, paths, anchor), strict=True):
+            found.append(replace(one, irradiance_per_mm2=seen(rippled, view, one.irradiance_per_mm2)))
+        return found
+
+
+def test_a_switch_that_fits_worse_than_nothing_beside_the_anchor_is_held_against_the_twin() -> None:
+    """Beside the anchor it has the ripple twice; by the twin alone it is right, and so it is about its own anchor."""
+    switch = spec("switch")
+    base = fit(MODEL, data(), Misleading(), free=PATHS, anchor_at=lambda model: Anchored(model, ANCHORED, seed=7))
+    assert base.chi2 > 1.3 * base.freedom
+    candidate = Candidate(switch, switch.parameters[0], (("size", 1.0),), np.zeros((1, 1)), (), is_switch=True)
+    found = switched(base, candidate)
+    assert found.fit is not None
+    about = found.fit.problem.anchor
+    assert about is not None
+    assert about.model.effects
+    assert found.fit.chi2 == pytest.approx(found.fit.freedom, rel=0.1)
+    assert isinstance(found.fit.problem.predictor, Misleading)  # not those of frozen derivatives
