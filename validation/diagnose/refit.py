@@ -31,6 +31,7 @@ from validation.diagnose.anew import (
 )
 from validation.diagnose.evidence import logs_of_spreads
 from validation.diagnose.frozen import FrozenCurves, FrozenImages, Slopes, frozen_at, without
+from validation.effects.agreed import agreed
 from validation.effects.known import CHIP, applied, off_values, with_effect
 from validation.fit import Fit, prior_chi2, refitted, unknowns_of
 from validation.fit.image_fit import ANCHOR_MOVE, MAX_ANCHORS
@@ -327,8 +328,8 @@ def _at_its_value(found: Refitted, fit: Fit, predictor: ImagePredictor) -> Refit
 def _sloped(found: Refitted, fit: Fit, predictor: ImagePredictor, anchor: Anchored) -> ImagePredictor:
     """The fit's predictor with the slope of the images by the effect as it is at the fit's own value.
 
-    A difference of Monte Carlo at moved models with the same random numbers; by a tenth of the range to either side,
-    for of most such columns a fit leaves little, and short steps leave noise.
+    What two differences of Monte Carlo at moved models agree about, each with the same random numbers; by a tenth of
+    the range to either side, for of most such columns a fit leaves little, and short steps leave noise.
     """
     frozen, one = fit.problem.predictor, found.candidate.parameter
     path = path_of(found.candidate.effect.name, one.name)
@@ -336,13 +337,18 @@ def _sloped(found: Refitted, fit: Fit, predictor: ImagePredictor, anchor: Anchor
         return frozen
     views = fit.problem.views(fit.model, fit.problem.unknowns.named(fit.values))
     lower, upper = limits_of(one)
-    slopes = [np.zeros((view.rows, view.columns)) for view in views]
-    step = SLOPE_SHARE * (upper - lower)
-    for weight, model in stencil(lambda by: fit.model.with_value(path, found.value + by), step, path):
-        for slope, image in zip(
-            slopes, predictor.images(model, views, (), replace(anchor, model=model)), strict=True
-        ):
-            slope += weight * image.irradiance_per_mm2 / (2.0 * found.value if path in frozen.squares else 1.0)
+    step, squared = SLOPE_SHARE * (upper - lower), 2.0 * found.value if path in frozen.squares else 1.0
+    moved = stencil(lambda by: fit.model.with_value(path, found.value + by), step, path)
+
+    def run(number: int) -> list[Real]:
+        slopes = [np.zeros((view.rows, view.columns)) for view in views]
+        for weight, model in moved:
+            there = replace(anchor, model=model, seed=anchor.seed + number)
+            for slope, image in zip(slopes, predictor.images(model, views, (), there), strict=True):
+                slope += weight * image.irradiance_per_mm2 / squared
+        return slopes
+
+    slopes = [agreed(*of) for of in zip(run(0), run(1), strict=True)]
     return replace(frozen, slopes={**frozen.slopes, path: [*slopes, *frozen.slopes[path][len(slopes) :]]})
 
 

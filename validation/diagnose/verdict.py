@@ -28,6 +28,8 @@ LEVEL = 0.01
 HALF = 0.5
 ALIKE = 0.10
 """Effects that explain within this of the best are in the set."""
+NOISE_SIGMA = 2.0
+"""Weak effects whose square roots of the fall of chi2 differ by less are, too: each has noise of 1."""
 
 
 @dataclass(frozen=True)
@@ -178,7 +180,8 @@ def _alike(best: Explanation, other: Explanation) -> bool:
     """Whether another effect explains within 10 % of the best, by a share that decides; else by chi2."""
     if best.share.decides and other.share.decides:
         return other.share.value > best.share.value - ALIKE
-    return other.drop > (1.0 - 2.0 * ALIKE) * best.drop
+    within = math.sqrt(max(best.drop, 0.0)) - math.sqrt(max(other.drop, 0.0)) < NOISE_SIGMA
+    return within or other.drop > (1.0 - 2.0 * ALIKE) * best.drop
 
 
 def _next_best(other: Explanation) -> str:

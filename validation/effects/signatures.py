@@ -4,7 +4,8 @@
     projected   whitened by the camera's noise; what calibration and nuisances can imitate taken out
 
 Whole predictions are moved, so an effect's own code is never asked for a derivative. Where the twin cannot represent
-an effect, Monte Carlo runs at each moved model with the same random numbers.
+an effect, Monte Carlo runs at each moved model with the same random numbers; twice with others, and what both agree
+about is the column: of walls at a module's edge a single difference is mostly noise, whose energy dilutes the effect.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 from luxloop.effect import EffectParameter, EffectSpec, Value
 from luxloop.errors import InputError
 from luxloop.model import Model
+from validation.effects.agreed import agreed
 from validation.effects.known import acting, applied, off_values, with_effect
 from validation.fit import Fit
 from validation.fit.image_fit import linearised
@@ -40,8 +42,8 @@ FILM_STEPS = 0.1
 """Of these steps, where only films are in sight: curves have no noise, and delta bends within a part of such."""
 LEAST_ROOM = 0.1
 """Of a parameter's range: with less to its nearer end, steps go to the other one only."""
-HISTORIES = 1_000_000
-"""Of Monte Carlo, for each sample, where the twin cannot represent an effect."""
+HISTORIES, RUNS = 500_000, 2
+"""Of Monte Carlo, for each sample, where the twin cannot represent an effect: of each of so many runs."""
 COLUMN_ERROR = 0.08
 """Of what parameters imitate of a column: their columns err by 2 to 4 %, as it does. What is left below is that."""
 ROUNDING, FILM_ROUNDING = 1e-6, 2e-3
@@ -81,22 +83,25 @@ class Sight:
         traced: bool = False,
         views: Sequence[int] | None = None,
         lender: Model | None = None,
+        run: int = 0,
     ) -> list[tuple[Real, ...]]:
-        """The same of several models, asked for together."""
+        """The same of several models, asked for together; by which run, where it is Monte Carlo."""
         wanted = tuple(range(len(self.views)) if views is None else views)
         traced = traced or any(one.name in self.beyond_twin for model in models for one in model.effects)
-        keys = [(model.sha256, None if traced else (lender or model).sha256, wanted) for model in models]
+        keys = [(model.sha256, run if traced else (lender or model).sha256, wanted) for model in models]
         new = {key: model for key, model in zip(keys, models, strict=True) if key not in self._known}
         if new:
-            images = self._traced(new.values(), wanted) if traced else self._of_twin(new.values(), wanted, lender)
+            images = (
+                self._traced(new.values(), wanted, run) if traced else self._of_twin(new.values(), wanted, lender)
+            )
             for (key, model), seen in zip(new.items(), images, strict=True):
                 self._known[key] = (*self._placed(seen, wanted), *self._curves(model))
         return [self._known[key] for key in keys]
 
-    def _traced(self, models: Iterable[Model], wanted: Sequence[int]) -> Iterator[list[Real]]:
+    def _traced(self, models: Iterable[Model], wanted: Sequence[int], run: int) -> Iterator[list[Real]]:
         asked = [self.views[number] for number in wanted]
         for model in models:
-            anchor = Anchored(model, self.histories, self.seed, stored_exits=True)
+            anchor = Anchored(model, self.histories, self.seed + run, stored_exits=True)
             found = self.predictor.images(model, asked, (), anchor) if asked else []
             yield [one.irradiance_per_mm2 for one in found]
 
@@ -245,10 +250,15 @@ def _columns(sight: Sight, moving: Sequence[_Moving], views: Sequence[int] | Non
     """The columns of parameters, or of the chips of one, of one effect: all moved models are asked for together."""
     steps = [stencil(one.moved, one.step(scale), f"effects.{one.spec.name}.{one.one.name}") for one in moving]
     models = [step.what for several in steps for step in several]
-    seen = iter(sight.parts_of(models, not moving[0].spec.twin, views, moving[0].model) if models else ())
+    traced = not moving[0].spec.twin
+    runs = [
+        iter(sight.parts_of(models, traced, views, moving[0].model, run) if models else ())
+        for run in range(RUNS if traced else 1)
+    ]
     for one, several in zip(moving, steps, strict=True):
-        weighted = [[step.weight * part for part in next(seen)] for step in several]
-        parts = tuple(np.asarray(sum(of_models)) for of_models in zip(*weighted, strict=True))
+        found = [[[step.weight * part for part in next(seen)] for step in several] for seen in runs]
+        summed = [[np.asarray(sum(of_models)) for of_models in zip(*weighted, strict=True)] for weighted in found]
+        parts = tuple(agreed(*of) if traced and of[0].ndim == 2 else of[0] for of in zip(*summed, strict=True))
         yield Column(one.spec.name, one.one.name, one.shape, one.chip, one.step(scale), parts, one.sample)
 
 

@@ -117,7 +117,7 @@ def test_moved_models_are_asked_for_together_and_once_and_what_is_beyond_the_twi
     assert {lender.sha256 for lender in predictor.anchors} == {Model(name="m").sha256}
     predictor.anchors.clear()
     signature(sight, Model(name="m"), spec_of(AMPLITUDE, twin=False))
-    assert [anchor.histories > 0 and anchor.seed for anchor in predictor.anchors] == [1, 1]
+    assert [anchor.histories > 0 and anchor.seed for anchor in predictor.anchors] == [1, 1, 2, 2]
     assert {anchor.model.sha256 for anchor in predictor.anchors} == {
         with_effect(Model(name="m"), applied_to(spec_of(AMPLITUDE), {"a": a})).sha256 for a in (0.5, -0.5)
     }

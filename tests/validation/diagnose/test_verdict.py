@@ -1,0 +1,39 @@
+"""Who is named beside whom: two effects that explain nearly as much, one of which noise may have put first."""
+
+from __future__ import annotations
+
+import pytest
+
+from validation.diagnose.explained import Share
+from validation.diagnose.verdict import Explanation, decided
+
+
+def explanation(name: str, drop: float, share: Share, beside: dict[str, float]) -> Explanation:
+    """What an effect came to, one that may be named; what is left beside each rival, in sigma."""
+    return Explanation(
+        name=name, parameter="size", unit="", value=0.1, error=0.02, shape=(), as_well=(), drop=drop, share=share,
+        held_out=None, held_out_percent=None, log_evidence=None, plausible=True, distrust=(), p_left=0.3,
+        sigma=drop**0.5, sigma_rival=beside,
+    )  # fmt: skip
+
+
+def said(drop: float, other: float, error: float, shares: tuple[float, float] = (0.64, 0.81)) -> tuple[str, ...]:
+    """The verdict's word and its set, of two effects whose shares are known to +- `error`."""
+    one, two = (Share(value, error) for value in shares)
+    tried = [explanation("walls", other, two, {"chip": 4.0}), explanation("chip", drop, one, {"walls": 4.0})]
+    verdict = decided(tried, 32, lambda: "", lambda _: "")
+    return verdict.word, *verdict.set
+
+
+@pytest.mark.parametrize(("other", "word"), [(26.0, "cannot_tell_apart"), (13.0, "one_effect")])
+def test_of_two_weak_effects_the_one_that_noise_may_have_put_first_is_not_named_alone(
+    other: float, word: str
+) -> None:
+    """Falls of 33 and 26 are 5.7 and 5.1 sigma, each +- 1; of 13 there are 3.6."""
+    assert said(33.0, other, error=0.25)[0] == word
+
+
+def test_strong_effects_are_told_by_the_share_of_structure_they_explain() -> None:
+    """Shares known to 3 % decide, however near the falls of chi2 are."""
+    assert said(1000.0, 950.0, error=0.03, shares=(0.98, 0.7)) == ("one_effect", "chip")
+    assert said(1000.0, 950.0, error=0.03, shares=(0.98, 0.95)) == ("cannot_tell_apart", "chip", "walls")
