@@ -17,6 +17,7 @@ from validation.effects.signatures import Column, Projection, Sight, signature
 from validation.fit import Fit
 from validation.fit.problem import Problem, sensor_of, view_of
 from validation.prediction import Predictor
+from validation.prediction.differences import Moved
 
 Real = NDArray[np.float64]
 
@@ -117,7 +118,6 @@ def _switches(
         for value in others:
             values = off_values(spec, shape) | {one.name: value}
             model = with_effect(fit.model, applied(spec, values))
-            there, here = (sight.parts(at, not spec.twin) for at in (model, fit.model))
-            parts = tuple(a - b for a, b in zip(there, here, strict=True))
+            parts = sight.summed([Moved(1.0, model), Moved(-1.0, fit.model)], not spec.twin)
             column = Column(spec.name, one.name, values, None, 1.0, parts)
             yield Candidate(spec, one, tuple(values.items()), projection.rows(column)[None], is_switch=True)

@@ -26,6 +26,7 @@ from validation.fit import Fit
 from validation.fit.problem import sensor_of, view_of
 from validation.measured import MeasuredImage
 from validation.prediction import POSE_COLUMNS, Anchored, Pose, Predictor, Sensor
+from validation.prediction.differences import Moved
 from validation.sample_values import LEAD
 
 Real = NDArray[np.float64]
@@ -128,10 +129,9 @@ class Rivals:
 
     def _change(self, sight: Sight, one: Refitted) -> tuple[Real, ...]:
         """What an effect of its fitted size does to the images of the model without it."""
-        model, traced = self.fit.model, not one.candidate.effect.twin
-        there = sight.parts(_at_size(model, one), traced, lender=model)
-        here = sight.parts(model, traced)
-        return tuple(a - b for a, b in zip(there, here, strict=True))
+        model = self.fit.model
+        moved = [Moved(1.0, _at_size(model, one)), Moved(-1.0, model)]
+        return sight.summed(moved, not one.candidate.effect.twin, lender=model)
 
 
 def candidates_of(samples: Sequence[Sample]) -> Iterator[tuple[str, Sample, float]]:

@@ -172,8 +172,9 @@ def doubted(best: Explanation) -> Verdict:
 
 
 def _explains_too_little(best: Explanation, level: float) -> bool:
-    """Less than half, with its error, while structure is left."""
-    return best.share.decides and best.share.value + best.share.error < HALF and best.p_left < level / 2.0
+    """Less than half, with its error (twice it where that is wide), while structure is left."""
+    errors = 1.0 if best.share.decides else 2.0
+    return best.share.value + errors * best.share.error < HALF and best.p_left < level / 2.0
 
 
 def _alike(best: Explanation, other: Explanation) -> bool:

@@ -30,7 +30,7 @@ from validation.fit.start import start_values
 from validation.fit.whitening import Whitening
 from validation.measured import MeasuredImage
 from validation.prediction import Anchored, Curve, Predictor, View
-from validation.prediction.differences import stencil
+from validation.prediction.differences import Moved, stencil
 from validation.sample_values import of_sample, with_sample
 
 Real = NDArray[np.float64]
@@ -87,7 +87,7 @@ class Sight:
     ) -> list[tuple[Real, ...]]:
         """The same of several models, asked for together; by which run, where it is Monte Carlo."""
         wanted = tuple(range(len(self.views)) if views is None else views)
-        traced = traced or any(one.name in self.beyond_twin for model in models for one in model.effects)
+        traced = traced or self._is_beyond_twin(models)
         keys = [(model.sha256, run if traced else (lender or model).sha256, wanted) for model in models]
         new = {key: model for key, model in zip(keys, models, strict=True) if key not in self._known}
         if new:
@@ -97,6 +97,24 @@ class Sight:
             for (key, model), seen in zip(new.items(), images, strict=True):
                 self._known[key] = (*self._placed(seen, wanted), *self._curves(model))
         return [self._known[key] for key in keys]
+
+    def summed(
+        self,
+        weighted: Sequence[Moved[Model]],
+        traced: bool = False,
+        views: Sequence[int] | None = None,
+        lender: Model | None = None,
+    ) -> tuple[Real, ...]:
+        """The parts of models times their weights, added up; by Monte Carlo what two runs of it agree about."""
+        models, runs = [one.what for one in weighted], []
+        for run in range(RUNS if traced or self._is_beyond_twin(models) else 1):
+            seen = self.parts_of(models, traced, views, lender, run)
+            parts = [[one.weight * part for part in found] for one, found in zip(weighted, seen, strict=True)]
+            runs.append([np.asarray(sum(of_models)) for of_models in zip(*parts, strict=True)])
+        return tuple(agreed(*of) if len(of) > 1 and of[0].ndim == 2 else of[0] for of in zip(*runs, strict=True))
+
+    def _is_beyond_twin(self, models: Iterable[Model]) -> bool:
+        return any(one.name in self.beyond_twin for model in models for one in model.effects)
 
     def _traced(self, models: Iterable[Model], wanted: Sequence[int], run: int) -> Iterator[list[Real]]:
         asked = [self.views[number] for number in wanted]
@@ -250,15 +268,11 @@ def _columns(sight: Sight, moving: Sequence[_Moving], views: Sequence[int] | Non
     """The columns of parameters, or of the chips of one, of one effect: all moved models are asked for together."""
     steps = [stencil(one.moved, one.step(scale), f"effects.{one.spec.name}.{one.one.name}") for one in moving]
     models = [step.what for several in steps for step in several]
-    traced = not moving[0].spec.twin
-    runs = [
-        iter(sight.parts_of(models, traced, views, moving[0].model, run) if models else ())
-        for run in range(RUNS if traced else 1)
-    ]
+    traced, lender = not moving[0].spec.twin, moving[0].model
+    for run in range(RUNS if traced else 1):
+        sight.parts_of(models, traced, views, lender, run)
     for one, several in zip(moving, steps, strict=True):
-        found = [[[step.weight * part for part in next(seen)] for step in several] for seen in runs]
-        summed = [[np.asarray(sum(of_models)) for of_models in zip(*weighted, strict=True)] for weighted in found]
-        parts = tuple(agreed(*of) if traced and of[0].ndim == 2 else of[0] for of in zip(*summed, strict=True))
+        parts = sight.summed(several, traced, views, lender)
         yield Column(one.spec.name, one.one.name, one.shape, one.chip, one.step(scale), parts, one.sample)
 
 

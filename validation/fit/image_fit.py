@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from luxloop.errors import InputError
 from luxloop.model import Model
-from validation.fit.least_squares import Parameter, Reduced, Step, reduce
+from validation.fit.least_squares import Parameter, Reduced, Step, prior_chi2, reduce
 from validation.fit.parameters import CurveData, Discrepancy, free_paths, gain_of, unknowns_of
 from validation.fit.problem import CurvePredictor, Evaluation, ImagePredictor, Problem, view_of
 from validation.fit.result import WANTED_NOISE, Fit, conclude, histories_for
@@ -169,6 +169,8 @@ def _settled(evaluation: Evaluation, iteration: int) -> Fit:
     taken: the fit has not converged.
     """
     problem, others, turn = evaluation.problem, evaluation.others(), 0
+    first = evaluation.whitening()
+    highest = _chi2(evaluation, first) + RISE
     while True:
         white, reduced, columns = linearised(evaluation)
         other = evaluation.other_columns(white, others)
@@ -178,10 +180,17 @@ def _settled(evaluation: Evaluation, iteration: int) -> Fit:
         longest = float(np.max(np.abs(step.change[seen]) / error[seen], initial=0.0))
         near, turn = longest < SETTLED, turn + 1
         stepped = problem.unknowns.within(evaluation.values + step.change)
-        long = longest > FAR or step.chi2 > reduced.chi2 + RISE or _is_dark(problem, stepped)
-        if near or long or turn == SETTLING:
+        ends = near or longest > FAR or turn == SETTLING or _is_dark(problem, stepped)
+        there = None if ends else problem.evaluate(stepped)
+        if there is None or _chi2(there, first) > highest:
             return conclude(evaluation, white, reduced, columns, step, iteration + turn, near, other)
-        evaluation = problem.evaluate(stepped)
+        evaluation = there
+
+
+def _chi2(evaluation: Evaluation, white: Whitening) -> float:
+    """Of data and priors, by a given whitening."""
+    residual = evaluation.residual(white)
+    return float(residual @ residual) + prior_chi2(evaluation.problem.unknowns.parameters, evaluation.values)
 
 
 def crossed(evaluation: Evaluation, white: Whitening, reduced: Reduced, columns: Real, other: Real) -> Step:

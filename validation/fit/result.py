@@ -22,6 +22,9 @@ Mask = NDArray[np.bool_]
 
 MOST_MODEL_NOISE = 2.0  # rms, of the camera's: up to there errors and chi2 were found right (decision 27)
 NOT_CONVERGED = "the fit has not converged"
+NO_STEP = "no good step is left by derivatives that are mostly noise of Monte Carlo (more histories)"
+LEAST_GAP = 0.1
+"""Of chi2: less to be gained is not why a fit stopped."""
 UNMENDED = "free less, or look for what the model lacks (luxloop where, luxloop diagnose)"
 WANTED_NOISE = 0.3  # a tenth of the camera's variance: it then hardly adds to errors
 
@@ -204,7 +207,8 @@ def _reasons(
         low, high = known[name].lower, known[name].upper
         reasons.append(f"{name} is at its limit ({low:g} to {high:g}); widen the limits or add what is missing")
     if not converged:
-        reasons.append(f"{NOT_CONVERGED}: {gap:.3g} of chi2 is still to be gained; {UNMENDED}")
+        why = f"{gap:.3g} of chi2 is still to be gained" if gap >= LEAST_GAP else NO_STEP
+        reasons.append(f"{NOT_CONVERGED}: {why}; {UNMENDED}")
     for name, blind in zip(problem.unknowns.names, reduced.blind, strict=True):
         if blind:
             reasons.append(f"nothing measured depends on {name}; fix it or give it a prior")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from validation.diagnose.explained import Share
@@ -37,3 +39,13 @@ def test_strong_effects_are_told_by_the_share_of_structure_they_explain() -> Non
     """Shares known to 3 % decide, however near the falls of chi2 are."""
     assert said(1000.0, 950.0, error=0.03, shares=(0.98, 0.7)) == ("one_effect", "chip")
     assert said(1000.0, 950.0, error=0.03, shares=(0.98, 0.95)) == ("cannot_tell_apart", "chip", "walls")
+
+
+@pytest.mark.parametrize(
+    ("error", "word"), [(0.2, "none_of_the_known"), (0.3, "one_effect"), (0.05, "none_of_the_known")]
+)
+def test_what_explains_next_to_nothing_is_not_named_while_structure_is_left(error: float, word: str) -> None:
+    """A share of 0.01 +- 0.2 is two errors below a half; of one that is known to +- 0.3 nothing can be said."""
+    one = replace(explanation("gradient", 10.0, Share(0.01, error), {}), p_left=0.0001)
+    assert decided([one], 4, lambda: "stripes.", lambda _: "").word == word
+    assert decided([replace(one, p_left=0.3)], 4, lambda: "", lambda _: "").word == "one_effect"
