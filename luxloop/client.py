@@ -35,7 +35,7 @@ from luxloop.settings import Settings, as_environment
 from luxloop.store import BlobStore
 from luxloop.words import Words
 
-START_S = 20.0  # for router and controller to answer
+START_S = 60.0  # for router and controller to answer, on a machine that has much else to do; a second or two else
 STOP_S = 8.0
 AGAIN = ("no_router", "no_controller", "busy", "timed_out", "refused")  # asking again may help
 
@@ -195,12 +195,14 @@ class Client:
         self._stack.callback(_stop, process)
         end_s = time.monotonic() + START_S
         while not listening(settings.router):
-            if process.poll() is not None or time.monotonic() > end_s:
+            ended = process.poll() is not None
+            if ended or time.monotonic() > end_s:
                 self.close()
+                how = "ended at once" if ended else f"did not start within {START_S:g} s"
                 raise RemoteError(
                     Failure(
                         code="no_router",
-                        message="the local set of processes did not start",
+                        message=f"the local set of processes {how}",
                         mend="run `luxloop serve local` by hand to see why",
                     )
                 )

@@ -274,6 +274,30 @@ def test_what_began_at_a_limit_leaves_it_where_the_step_of_two_walks_leads_insid
     assert step.change[0] == pytest.approx(0.0 if held else -0.75)
 
 
+@pytest.mark.parametrize(("bend", "near"), [(0.0, True), (1.0, False)])
+def test_what_chi2_does_at_a_step_is_looked_up_where_it_ends(monkeypatch, bend, near):
+    """The first walk's noise promises a rise of 400; there is none, unless the images bend away from the columns."""
+    true = np.array([[10.0, 0.0, 0.0, 0.0, 0.0], [10.0, 0.4, 0.0, 0.0, 0.0]])
+    noise = np.array([[0.0, 0.0, 5.0, 0.0, 0.0], [0.0, 0.0, 0.0, 5.0, 0.0]])
+    columns, other = (true + np.outer([0.0, 1.0], one) for one in noise)
+    solution, parameters = np.array([-4.0, 4.0]), (Parameter("a"), Parameter("b"))
+    problem = SimpleNamespace(unknowns=Unknowns(parameters, (), ()))
+
+    def evaluate(values):
+        bent = np.append(np.zeros(4), bend * values @ values)
+        return SimpleNamespace(
+            values=values, problem=problem, whitening=lambda: None, others=list, columns=lambda _: columns,
+            residual=lambda _: (solution - values) @ true + bent, other_columns=lambda *_: other,
+        )  # fmt: skip
+
+    problem.evaluate = evaluate
+    monkeypatch.setattr(image_fit, "_is_dark", lambda *_: False)
+    monkeypatch.setattr(image_fit, "conclude", lambda evaluation, *told: (evaluation.values, told[5]))
+    values, settled = image_fit._settled(evaluate(np.zeros(2)), 0)
+    assert settled == near
+    np.testing.assert_allclose(values, solution if near else 0.0, atol=1e-9)
+
+
 def test_errors_and_chi2_hold_about_a_noisy_anchor(about_noise):
     """With the noise in the whitening chi2 is that of noise and intervals hold the truth; left out, neither does."""
     fits, naive = about_noise
