@@ -56,22 +56,26 @@ class Shared:
 
 @dataclass(frozen=True)
 class SharedSolver(Solver):
-    """One anchor for all sets of a light: its Monte Carlo is run once."""
+    """One anchor for all sets of a light but the first: its Monte Carlo is run once."""
 
     shared: Shared = field(default_factory=Shared)
 
     def anchor(self, model: Model) -> Anchored:
-        """That of the first set."""
-        if self.shared.anchor is None:
-            self.shared.anchor = super().anchor(model)
-        return self.shared.anchor
+        """That with which the fit of the first set ended; of the first set its own, made anew where its fit moves."""
+        return self.shared.anchor or super().anchor(model)
 
 
 @dataclass(eq=False)
 class SharedDiagnosing(Diagnosing):
-    """A diagnosis that takes the columns of effects and the null of the base fit from the first set of its light."""
+    """A diagnosis that takes anchor, columns of effects and null of the base fit from the first set of its light."""
 
     shared: Shared = field(default_factory=Shared)
+
+    def fitted(self, model: Model) -> Fit:
+        """The base fit; its anchor is that of the sets to come."""
+        found = super().fitted(model)
+        self.shared.anchor = self.shared.anchor or found.problem.anchor
+        return found
 
     def signatures(self, found: Fit, effects: Sequence[EffectSpec]) -> list[Candidate]:
         """Of the base fit those of the first set; of a fit with effects its own."""
