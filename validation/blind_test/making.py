@@ -33,7 +33,8 @@ from validation.effects.known import Known
 from validation.prediction import Predictor
 
 HISTORIES = 8_000_000
-"""Of walks inside a chip, for each sample: their noise is below 0.3 of the camera's in blocks of any size."""
+"""Of walks inside a chip, for each sample, in two halves: of six images the noise of a half was 0.4 of the camera's
+in the worst block, so that of both is below 0.3 (`python -m benchmarks.blind_light`)."""
 MOST_SEED = 10**15
 WEAK, ASKED = "too-weak.json", "asked.json"
 """Beside the answers: kinds that do not show as strongly as was asked; what was asked for."""
