@@ -21,7 +21,7 @@ from validation.diagnose.columns import FitSight
 from validation.diagnose.refit import Refitted
 from validation.diagnose.separation import Rows, sigma_left
 from validation.effects.known import applied, off_values, with_effect
-from validation.effects.signatures import HISTORIES, Sight
+from validation.effects.signatures import HISTORIES, RUNS, Sight
 from validation.fit import Fit
 from validation.fit.problem import sensor_of, view_of
 from validation.measured import MeasuredImage
@@ -110,7 +110,7 @@ class Rivals:
         at = self.fit.problem.unknowns.named(self.fit.values)
         view = replace(view_of(like, Pose()), sample=sample, sensor=sensor_of(like, at))
         traced = any(effect.name in self.beyond_twin for effect in fit.model.effects)
-        anchor = Anchored(fit.model, HISTORIES) if traced else None
+        anchor = Anchored(fit.model, RUNS * HISTORIES) if traced else None
         (found,) = self.predictor.images(fit.model, [view], (*paths, *POSE_COLUMNS), anchor)
         peak_dn = max(float(signal[image.used].max()) for image, signal in _lit(fit))
         gain = peak_dn / float(found.irradiance_per_mm2.max())

@@ -50,6 +50,8 @@ LEAST_SHARE = 1e-3
 
 MOST_HALVINGS = 4
 
+OF_NOISE = 10.0
+"""Of chi2: two fits of one model about two Monte Carlo runs of a million histories differ by as much."""
 SLOPE_SHARE = 0.1
 """Of its range: by which an effect that the twin cannot represent is moved for the slope at its own value."""
 
@@ -172,9 +174,9 @@ def switched(base: Fit, candidate: Candidate) -> Refitted:
     settled = found.converged and _chi2(found) < _chi2(base) and not has_other_light(problem, found.values)
     if has_monte_carlo(problem) and not settled:
         own = by_twin(begun, start_of(begun, ended))
-        if _chi2(own) < _chi2(without_by_twin(base)):
+        if _chi2(own) < _chi2(without_by_twin(base)) - OF_NOISE:
             own = about_its_own(begun, own)
-            found = own if _chi2(own) < _chi2(found) else found
+            found = own if _chi2(own) < _chi2(found) - OF_NOISE else found
     return Refitted(candidate, 1.0, 0.0, found.residual, _chi2(found), False, found.model, found)
 
 
@@ -328,8 +330,9 @@ def _at_its_value(found: Refitted, fit: Fit, predictor: ImagePredictor) -> Refit
 def _sloped(found: Refitted, fit: Fit, predictor: ImagePredictor, anchor: Anchored) -> ImagePredictor:
     """The fit's predictor with the slope of the images by the effect as it is at the fit's own value.
 
-    What two differences of Monte Carlo at moved models agree about, each with the same random numbers; by a tenth of
-    the range to either side, for of most such columns a fit leaves little, and short steps leave noise.
+    What two differences of Monte Carlo at moved models agree about, each with random numbers of its own and not those
+    of the anchor, whose noise is in the residual; by a tenth of the range to either side, for of most such columns a
+    fit leaves little, and short steps leave noise.
     """
     frozen, one = fit.problem.predictor, found.candidate.parameter
     path = path_of(found.candidate.effect.name, one.name)
@@ -343,7 +346,8 @@ def _sloped(found: Refitted, fit: Fit, predictor: ImagePredictor, anchor: Anchor
     def run(number: int) -> list[Real]:
         slopes = [np.zeros((view.rows, view.columns)) for view in views]
         for weight, model in moved:
-            there = replace(anchor, model=model, seed=anchor.seed + number)
+            seed, exits = anchor.seed + 1 + number, anchor.exit_seed + number
+            there = replace(anchor, model=model, seed=seed, exit_seed=exits, histories=anchor.histories // 2)
             for slope, image in zip(slopes, predictor.images(model, views, (), there), strict=True):
                 slope += weight * image.irradiance_per_mm2 / squared
         return slopes

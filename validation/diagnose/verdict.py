@@ -2,9 +2,13 @@
 
     fit_not_trustworthy   the fit itself says so
     nothing_visible       neither structure nor any effect's score is unlikely, each at half the level
-    none_of_the_known     the best effect explains less than half of the structure, and structure is left
+    none_of_the_known     the best effect explains less than half of the structure by an error (by two, where the
+                          share is known to no better than 0.15), and structure is left
     cannot_tell_apart     a rival explains nearly as much, and less than 5 sigma would be left of the one beside it
     one_effect            else
+
+A rival explains nearly as much where its share is within 0.1 of the best. Where shares are known to no better than
+0.15, where it lowers chi2 by 0.8 as much, or where noise may have put the other first.
 
 The largest gain always blames somebody; so what decides is the share explained, the error in data that the fit has
 not seen, and whether rivals can be told apart. Chi2 only ranks.
@@ -28,8 +32,9 @@ LEVEL = 0.01
 HALF = 0.5
 ALIKE = 0.10
 """Effects that explain within this of the best are in the set."""
-NOISE_SIGMA = 2.0
-"""Weak effects whose square roots of the fall of chi2 differ by less are, too: each has noise of 1."""
+NOISE_SIGMA, NOISE_DROP = 2.0, 9.0
+"""Noise may have put one of two weak effects first whose falls of chi2 differ by less than this, and their square
+roots, which have noise of 1 each, by less than that."""
 
 
 @dataclass(frozen=True)
@@ -182,7 +187,8 @@ def _alike(best: Explanation, other: Explanation) -> bool:
     if best.share.decides and other.share.decides:
         return other.share.value > best.share.value - ALIKE
     within = math.sqrt(max(best.drop, 0.0)) - math.sqrt(max(other.drop, 0.0)) < NOISE_SIGMA
-    return within or other.drop > (1.0 - 2.0 * ALIKE) * best.drop
+    by_noise = within and best.drop - other.drop < NOISE_DROP
+    return by_noise or other.drop > (1.0 - 2.0 * ALIKE) * best.drop
 
 
 def _next_best(other: Explanation) -> str:

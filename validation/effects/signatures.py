@@ -85,17 +85,20 @@ class Sight:
         lender: Model | None = None,
         run: int = 0,
     ) -> list[tuple[Real, ...]]:
-        """The same of several models, asked for together; by which run, where it is Monte Carlo."""
+        """The same of several models, asked for together; by which run of Monte Carlo (curves by the first).
+
+        All are lent the exits of one: the lender's, or the first model's.
+        """
         wanted = tuple(range(len(self.views)) if views is None else views)
         traced = traced or self._is_beyond_twin(models)
-        keys = [(model.sha256, run if traced else (lender or model).sha256, wanted) for model in models]
+        keys = [(model.sha256, run if traced else (lender or models[0]).sha256, wanted) for model in models]
         new = {key: model for key, model in zip(keys, models, strict=True) if key not in self._known}
         if new:
             images = (
                 self._traced(new.values(), wanted, run) if traced else self._of_twin(new.values(), wanted, lender)
             )
             for (key, model), seen in zip(new.items(), images, strict=True):
-                self._known[key] = (*self._placed(seen, wanted), *self._curves(model))
+                self._known[key] = (*self._placed(seen, wanted), *(self._curves(model) if run == 0 else ()))
         return [self._known[key] for key in keys]
 
     def summed(
@@ -111,7 +114,10 @@ class Sight:
             seen = self.parts_of(models, traced, views, lender, run)
             parts = [[one.weight * part for part in found] for one, found in zip(weighted, seen, strict=True)]
             runs.append([np.asarray(sum(of_models)) for of_models in zip(*parts, strict=True)])
-        return tuple(agreed(*of) if len(of) > 1 and of[0].ndim == 2 else of[0] for of in zip(*runs, strict=True))
+        first, *others = runs
+        count = len(self.views)
+        images = first[:count] if not others else [agreed(*of) for of in zip(first[:count], *others, strict=True)]
+        return (*images, *first[count:])
 
     def _is_beyond_twin(self, models: Iterable[Model]) -> bool:
         return any(one.name in self.beyond_twin for model in models for one in model.effects)
@@ -119,7 +125,7 @@ class Sight:
     def _traced(self, models: Iterable[Model], wanted: Sequence[int], run: int) -> Iterator[list[Real]]:
         asked = [self.views[number] for number in wanted]
         for model in models:
-            anchor = Anchored(model, self.histories, self.seed + run, stored_exits=True)
+            anchor = Anchored(model, self.histories, self.seed + run, exit_seed=1 + run, stored_exits=True)
             found = self.predictor.images(model, asked, (), anchor) if asked else []
             yield [one.irradiance_per_mm2 for one in found]
 

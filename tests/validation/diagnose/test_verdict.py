@@ -27,11 +27,11 @@ def said(drop: float, other: float, error: float, shares: tuple[float, float] = 
     return verdict.word, *verdict.set
 
 
-@pytest.mark.parametrize(("other", "word"), [(26.0, "cannot_tell_apart"), (13.0, "one_effect")])
+@pytest.mark.parametrize(("other", "word"), [(26.0, "cannot_tell_apart"), (23.0, "one_effect")])
 def test_of_two_weak_effects_the_one_that_noise_may_have_put_first_is_not_named_alone(
     other: float, word: str
 ) -> None:
-    """Falls of 33 and 26 are 5.7 and 5.1 sigma, each +- 1; of 13 there are 3.6."""
+    """Falls of 33 and 26 are 5.7 and 5.1 sigma, each +- 1; ten of chi2 are more than that."""
     assert said(33.0, other, error=0.25)[0] == word
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from itertools import product
 from typing import Any
 
@@ -16,9 +17,10 @@ from validation.dataset.manifest import Sample
 from validation.effects.confounding import Confounding, confounding
 from validation.effects.known import Known, far_end, off_values, shapes_of, stanza, typical, with_effect
 from validation.effects.known import applied as applied_to
-from validation.effects.signatures import Projection, Sight, projected, signature
+from validation.effects.signatures import RUNS, Projection, Sight, projected, signature
 from validation.fit.whitening import Whitening
 from validation.prediction import Predicted, View
+from validation.prediction.differences import Moved
 from validation.sample_values import of_sample, with_sample
 
 SIDE = 6
@@ -65,6 +67,8 @@ def sight_of(predictor: Any, *samples: Sample) -> Sight:
     return Sight(predictor, views)
 
 
+SMOOTH = np.asarray(2.0 + np.cos(np.pi * np.arange(40) / 40.0)[:, None] * np.ones(40))
+NOISE = 0.05
 AMPLITUDE = EffectParameter(name="a", description="", lower=-0.5, upper=0.5, off=0.0)
 
 
@@ -118,9 +122,50 @@ def test_moved_models_are_asked_for_together_and_once_and_what_is_beyond_the_twi
     predictor.anchors.clear()
     signature(sight, Model(name="m"), spec_of(AMPLITUDE, twin=False))
     assert [anchor.histories > 0 and anchor.seed for anchor in predictor.anchors] == [1, 1, 2, 2]
+    assert [anchor.exit_seed for anchor in predictor.anchors] == [1, 1, 2, 2]
     assert {anchor.model.sha256 for anchor in predictor.anchors} == {
         with_effect(Model(name="m"), applied_to(spec_of(AMPLITUDE), {"a": a})).sha256 for a in (0.5, -0.5)
     }
+
+
+class Rough(Pretended):
+    """Monte Carlo has noise, another for each seed and model; curves are not asked for."""
+
+    def images(self, model: Model, views: Sequence[View], _: Sequence[str] = (), anchor: Any = None) -> list[Any]:
+        """The formula, and noise."""
+        found = super().images(model, views, (), anchor)
+        random = np.random.default_rng([anchor.seed, int(model.sha256[:8], 16)])
+        return [replace(one, irradiance_per_mm2=one.irradiance_per_mm2 + NOISE * random.standard_normal(SMOOTH.shape))
+                for one in found]  # fmt: skip
+
+
+def test_a_column_by_monte_carlo_is_nearer_the_light_than_the_mean_of_its_two_runs() -> None:
+    """A smooth effect under white noise: most of the noise goes, for the runs do not agree about it."""
+    sight = Sight(Rough(lambda at: 1.0 + at.get("mine.a", 0.0) * SMOOTH), [View(SINGLE, 40, 40, 20.0, (19.5, 19.5))])
+    spec = spec_of(AMPLITUDE, twin=False)
+    (column,) = signature(sight, Model(name="m"), spec)
+    noise = NOISE / np.sqrt(2.0) / column.step / np.sqrt(RUNS)
+    assert np.std(column.parts[0] - SMOOTH) < 0.3 * noise
+    assert np.vdot(column.parts[0], SMOOTH) / np.vdot(SMOOTH, SMOOTH) == pytest.approx(1.0, abs=0.05)
+    switched = sight.summed([Moved(1.0, Model(name="n")), Moved(-1.0, Model(name="m"))], True)
+    assert np.std(switched[0]) < 0.3 * NOISE  # no difference: what is left of its noise
+
+
+def test_models_asked_for_together_are_lent_the_exits_of_the_lender() -> None:
+    """A base that was lent another's exits would not be the base of the next column."""
+    lent: list[tuple[str, str]] = []
+
+    class Lent(Pretended):
+        def several(self, wanted: Sequence[tuple[Model, View]], lender: Model) -> list[Any]:
+            lent.extend((names[model.sha256], names[lender.sha256]) for model, _ in wanted)
+            return super().several(wanted, lender)
+
+    sight = sight_of(Lent(lambda _: BASE), SINGLE)
+    base, other = Model(name="m"), Model(name="m").with_value("environment.substrate.reflectance", 0.9)
+    names = {base.sha256: "base", other.sha256: "other"}
+    sight.parts_of([other, base])
+    sight.parts(base)
+    assert lent == [("other", "other"), ("base", "other"), ("base", "base")]
 
 
 def test_projection_takes_out_what_is_taken_and_only_that() -> None:
