@@ -312,8 +312,10 @@ def _at_its_value(found: Refitted, fit: Fit, predictor: ImagePredictor) -> Refit
     """The same about Monte Carlo at the effect's own value, where its line begins, with the slope that it has there.
 
     The twin cannot represent it, and it need not grow in proportion: light that walls send back comes to walls again.
-    So it is done again where the value has moved by more than an anchor may be away.
+    So it is done again where the value has moved by more than an anchor may be away. Its chi2 stays that of the line:
+    about another Monte Carlo it has other noise, in images of many chips of a hundred and more.
     """
+    line = found
     for _ in range(MAX_ANCHORS):
         anchor = fit.problem.anchor
         if anchor is None or not anchor.histories:
@@ -324,7 +326,7 @@ def _at_its_value(found: Refitted, fit: Fit, predictor: ImagePredictor) -> Refit
         found = _with(found, fit)
         if abs(found.value - before.value) <= ANCHOR_MOVE * found.error:
             break
-    return found
+    return found if found is line else replace(found, chi2=line.chi2)
 
 
 def _sloped(found: Refitted, fit: Fit, predictor: ImagePredictor, anchor: Anchored) -> ImagePredictor:

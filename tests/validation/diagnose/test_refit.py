@@ -133,6 +133,7 @@ def test_what_is_kept_is_fitted_about_monte_carlo_at_its_own_value(line: Refitte
     found = finished(line, predictor, None)
     assert abs(found.value - TRUTH) < 3.0 * found.error
     assert found.error < line.error
+    assert found.chi2 == line.chi2  # held against a fit about the same Monte Carlo
     assert found.fit is not None
     assert found.fit.chi2 == pytest.approx(found.fit.freedom, rel=0.1)
     anchor = found.fit.problem.anchor
