@@ -74,8 +74,7 @@ def about_its_own(problem: Problem, found: Fit) -> Fit:
         raise ValueError("a fit about Monte Carlo needs an anchor to take histories and seed from")
     for _ in range(MAX_ANCHORS):
         about = replace(anchor, model=found.model, poses=tuple(found.poses.values()))
-        there = thawed(found, problem).problem
-        there = replace(there, anchor=about)
+        there = replace(thawed(found, problem).problem, anchor=about)
         before, found = found, refitted(frozen_at(there, found.values), found.values, STEPS)
         if moved(found, before, problem.unknowns.model_paths) <= ANCHOR_MOVE:
             break

@@ -172,7 +172,7 @@ def _settled(evaluation: Evaluation, iteration: int) -> Fit:
     first = evaluation.whitening()
     highest = _chi2(evaluation, first) + RISE
     while True:
-        white, reduced, columns = linearised(evaluation)
+        white, reduced, columns = linearised(evaluation, None if turn else first)
         other = evaluation.other_columns(white, others)
         step = crossed(evaluation, white, reduced, columns, other)
         error = np.sqrt(np.diag(reduced.covariance_of(columns, other, 1.0, ~step.at_limit & ~reduced.blind)))

@@ -22,7 +22,8 @@ def test_the_first_set_makes_its_anchor_anew_where_its_fit_moves_and_lends_the_l
     """Where the twin ends at first may be far from where the fit ends: 311 /cm for 205, with nothing hidden."""
     shared = Shared("a")
     solver = SharedSolver(1000, 1, shared=shared)
-    engine: Any = SharedDiagnosing(PAPER, None, None, None, solver, (), shared=shared)  # type: ignore[arg-type]  # not asked
+    nobody: Any = None  # neither data nor workers are asked here
+    engine: Any = SharedDiagnosing(PAPER, nobody, nobody, nobody, solver, (), shared=shared)
 
     def fitted(self: Any, model: Any) -> Any:
         asked = [self.solver.anchor(one) for one in (model, MOVED)]
