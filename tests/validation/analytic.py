@@ -36,6 +36,10 @@ MODEL = Model(
     },
 )
 
+TRUTH = MODEL.with_value(SIGMA, 6.0).with_value(HALO, 0.7).with_value(REACH, 0.5)
+"""What the two images are of."""
+POSES = [Pose((0.8, -1.7), 0.0), Pose((-2.4, 0.6), 0.4)]
+
 CAMERA = CameraFacts(
     pixel_um=25.0, bit_depth=16, gain_dn_per_e=1.0, read_noise_e=6.0, full_well_e=60_000.0, black_level_dn=64.0
 )
@@ -154,6 +158,14 @@ def measured(
         spread = np.sqrt(image.variance_dn2(signal_dn)) * random.standard_normal(signal_dn.shape)
         found.append(replace(image, signal_dn=signal_dn * (1.0 + image.prnu * fixed) + spread))
     return found
+
+
+def two_images(
+    seed: int = 1, prnu: float = 0.0, truth: Model = TRUTH, poses: Sequence[Pose] = POSES
+) -> list[MeasuredImage]:
+    """A single chip and an array, of the truth at these poses, with noise."""
+    images = [blank("single-a", SINGLE, prnu=prnu), blank("array-a", ARRAY, prnu=prnu)]
+    return measured(truth, images, np.random.default_rng(seed), poses)
 
 
 def _chips(sample: Sample) -> list[tuple[float, float]]:

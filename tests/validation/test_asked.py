@@ -16,7 +16,7 @@ from luxloop.film import FilmTableRequest
 from luxloop.messages import Task
 from luxloop.model import Environment
 from luxloop.words import canonical
-from tests.validation import test_fit_images as spots
+from tests.validation import analytic as spots
 from tests.validation.test_comparing import observed
 from validation.asked import COMMAND, MOST_BYTES, Asking, asked_in, digest, shortened, whole
 from validation.auditor import decided

@@ -11,7 +11,7 @@ import pytest
 from luxloop.audit import Compared, Place
 from luxloop.errors import InputError
 from luxloop.model_file import find_model
-from tests.validation import test_fit_images as spots
+from tests.validation import analytic as spots
 from validation import told
 from validation.auditor import compared as re_derived
 from validation.calibrate_command import paths_of
@@ -24,7 +24,7 @@ from validation.virtual_realistic import KINDS, Candidate, Experiment, errors_of
 
 def observed() -> Observed:
     """Two images with the noise of a camera."""
-    return Observed(tuple(spots._data()), (), (), {})
+    return Observed(tuple(spots.two_images()), (), (), {})
 
 
 def test_a_model_that_is_right_differs_by_noise_alone() -> None:
@@ -109,7 +109,7 @@ def test_a_straight_line_is_found_with_its_weights() -> None:
 
 def test_the_error_of_eq_1_is_what_gain_and_offset_leave() -> None:
     """0 for any gain and offset of the same image; in DN^2 as large as what was added to it."""
-    image = spots._data()[0]
+    image = spots.two_images()[0]
     light = (image.signal_dn - 5.0) / 700.0
     mse, mse_dn2, chi2 = errors_of(image, light)
     assert (mse, mse_dn2, chi2) == pytest.approx((0.0, 0.0, 0.0), abs=1e-18)

@@ -6,7 +6,7 @@ size, as walls do, where light that was sent back comes to a wall again.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -17,6 +17,7 @@ from luxloop.effect import AppliedEffect
 from luxloop.model import Model
 from tests.validation.analytic import ARRAY, HALO, MODEL, PATHS, SIGMA, SINGLE, Spots, blank
 from tests.validation.diagnose.made_up import GAIN, THIRD, Affected, seen, spec
+from validation.dataset.manifest import Sample
 from validation.diagnose.anew import fitted_anew, has_other_light
 from validation.diagnose.frozen import FrozenImages, frozen_at, slopes_of, without
 from validation.diagnose.refit import (
@@ -79,12 +80,21 @@ class Anchors(Spots):
 
 def data() -> list[MeasuredImage]:
     """Three images with the effect at its true size, with noise."""
-    model, random, images = with_effect(MODEL, applied(RIPPLE, {"size": TRUTH})), np.random.default_rng(4), []
-    for shot, sample in (("single", SINGLE), ("array", ARRAY), ("third", THIRD)):
+    model = with_effect(MODEL, applied(RIPPLE, {"size": TRUTH}))
+
+    def light(view: View) -> Real:
+        (one,) = Spots().images(MODEL, [view])
+        return traced(model, view, one.irradiance_per_mm2)
+
+    return noisy(light, 4, ("third", THIRD))
+
+
+def noisy(light: Callable[[View], Real], seed: int, *more: tuple[str, Sample]) -> list[MeasuredImage]:
+    """Images of this light with noise: a single chip, an array, and more samples."""
+    random, images = np.random.default_rng(seed), []
+    for shot, sample in (("single", SINGLE), ("array", ARRAY), *more):
         image = blank(shot, sample, side=32)
-        view = view_of(image, Pose())
-        (light,) = Spots().images(MODEL, [view])
-        signal = GAIN * traced(model, view, light.irradiance_per_mm2) + 20.0
+        signal = GAIN * light(view_of(image, Pose())) + 20.0
         noise = np.sqrt(image.variance_dn2(signal)) * random.standard_normal(signal.shape)
         images.append(replace(image, signal_dn=signal + noise))
     return images
@@ -273,14 +283,8 @@ class Turned(Spots):
 def test_a_switch_is_fitted_together_with_what_made_up_for_it() -> None:
     """The fit without it goes to the other end of the halo; with it the value that the model had is right."""
     switch, truth = spec("switch"), MODEL.with_value(HALO, 0.2)
-    random, images = np.random.default_rng(6), []
     with_it = with_effect(truth, applied(switch, {"size": 1.0}))
-    for shot, sample in (("single", SINGLE), ("array", ARRAY)):
-        image = blank(shot, sample, side=32)
-        (light,) = Turned().images(with_it, [view_of(image, Pose())])
-        signal = GAIN * light.irradiance_per_mm2 + 20.0
-        noise = np.sqrt(image.variance_dn2(signal)) * random.standard_normal(signal.shape)
-        images.append(replace(image, signal_dn=signal + noise))
+    images = noisy(lambda view: Turned().images(with_it, [view])[0].irradiance_per_mm2, 6)
     without_it = fit(truth, images, Turned(), free=(HALO,))
     assert without_it.value(HALO) == pytest.approx(0.8, abs=0.05)
     candidate = Candidate(switch, switch.parameters[0], (("size", 1.0),), np.zeros((1, 1)), (), is_switch=True)
@@ -323,13 +327,8 @@ def test_a_switch_that_fits_worse_than_nothing_beside_the_anchor_is_held_against
 
 def test_a_switch_that_the_twin_finds_wrong_costs_no_monte_carlo() -> None:
     """Of images without the ripple."""
-    random, images, predictor = np.random.default_rng(8), [], Misleading()
-    for shot, sample in (("single", SINGLE), ("array", ARRAY)):
-        image = blank(shot, sample, side=32)
-        (light,) = Spots().images(MODEL, [view_of(image, Pose())])
-        signal = GAIN * light.irradiance_per_mm2 + 20.0
-        noise = np.sqrt(image.variance_dn2(signal)) * random.standard_normal(signal.shape)
-        images.append(replace(image, signal_dn=signal + noise))
+    predictor = Misleading()
+    images = noisy(lambda view: Spots().images(MODEL, [view])[0].irradiance_per_mm2, 8)
     base = fit(MODEL, images, predictor, free=PATHS, anchor_at=lambda model: Anchored(model, ANCHORED, seed=7))
     switch = spec("switch")
     switched(base, Candidate(switch, switch.parameters[0], (("size", 1.0),), np.zeros((1, 1)), (), is_switch=True))
