@@ -76,7 +76,7 @@ class Refitted:
     residual: Real
     """(row,), whitened."""
     chi2: float
-    """Of data and priors; of an effect that the twin cannot represent that of its line about the base's own anchor."""
+    """Of data and priors; of an effect that the twin cannot represent its line's, about the base's own anchor."""
     at_limit: bool
     model: Model | None
     """None for a group: its members are known one by one, not as one number."""
