@@ -36,6 +36,7 @@ NOISY_GAP = 1.0  # chi2: what derivatives with noise of their own may still prom
 STALLS = 2  # steps in a row that gain nothing
 SETTLED, SETTLING = 0.1, 8  # of an error that the last step about a noisy anchor may be long; most steps
 FAR = 30.0  # errors: a step as long is not one of the last, and by noisy columns may lead anywhere
+LEAST_TAKEN = 0.1  # of a step
 RISE = 30.0  # chi2: what is solved for instead of the least chi2 lies within some errors of it
 POSE_PX = 1e-3
 MAX_ITERATIONS = 40
@@ -166,9 +167,11 @@ def _settled(evaluation: Evaluation, iteration: int) -> Fit:
     Its steps are by the product of columns with columns of another walk. Steps by their own product fall short along
     what the data hardly know, for there most of a column is noise, and end up to an error from the solution. Where
     they are long, or chi2 would rise, or they take all light from an image, they are none of the last, and none is
-    taken: the fit has not converged.
+    taken: the fit has not converged. Where noise is the larger part of a column they go too far, back, and further:
+    what two of them show of that is made good (`relaxed`).
     """
     problem, others, turn = evaluation.problem, evaluation.others(), 0
+    share, before = 1.0, None
     first = evaluation.whitening()
     highest = _chi2(evaluation, first) + RISE
     while True:
@@ -177,14 +180,27 @@ def _settled(evaluation: Evaluation, iteration: int) -> Fit:
         step = crossed(evaluation, white, reduced, columns, other)
         error = np.sqrt(np.diag(reduced.covariance_of(columns, other, 1.0, ~step.at_limit & ~reduced.blind)))
         seen = np.isfinite(error) & (error > 0.0)
-        longest = float(np.max(np.abs(step.change[seen]) / error[seen], initial=0.0))
+        steps = np.where(seen, step.change / np.where(seen, error, 1.0), 0.0)
+        longest = float(np.max(np.abs(steps), initial=0.0))
         near, turn = longest < SETTLED, turn + 1
-        stepped = problem.unknowns.within(evaluation.values + step.change)
+        share, before = relaxed(share, before, steps), steps
+        stepped = problem.unknowns.within(evaluation.values + share * step.change)
         ends = near or longest > FAR or turn == SETTLING or _is_dark(problem, stepped)
         there = None if ends else problem.evaluate(stepped)
         if there is None or _chi2(there, first) > highest:
             return conclude(evaluation, white, reduced, columns, step, iteration + turn, near, other)
         evaluation = there
+
+
+def relaxed(share: float, before: Real | None, steps: Real) -> float:
+    """The share of a step to take, after one of which that share of `before` was taken: Aitken's, for vectors.
+
+    Irons and Tuck, Int. J. Numer. Methods Eng. 1, 275 (1969); never more than the whole step.
+    """
+    if before is None:
+        return 1.0
+    change = steps - before
+    return float(np.clip(-share * (before @ change) / max(float(change @ change), 1e-300), LEAST_TAKEN, 1.0))
 
 
 def _chi2(evaluation: Evaluation, white: Whitening) -> float:
