@@ -16,7 +16,7 @@ from typing import Protocol
 import numpy as np
 
 from containers.acting import Effects
-from containers.effect import DetectorEffect
+from containers.effect import DetectorEffect, Real
 from containers.ray_tracing.build import cell_of, scene_of
 from containers.ray_tracing.exit_source import BATCH, ExitSource
 from containers.ray_tracing.exits import Exits
@@ -101,9 +101,10 @@ class Predictor:
         `jacobian_per_mm2` (column, shot, row, pixel column) in the order of `columns`, by each shot's own parameter,
         of its scene or of its camera, in the unit that its name ends with; with an anchor `noise_per_mm2` (function,
         shot, row, column): the covariance of two pixels is the sum over functions of their products, and
-        `twin_per_mm2` (shot, row, column), the twin alone, whose noise has nothing in common with that. Images are
-        float64, for differences are taken of them; the others are float32, which rounds 6e-8 of a value: the least
-        noisy column of a scene has 1e-4, the noise knows itself to some percent.
+        `twin_per_mm2` (shot, row, column), the twin alone, whose noise has nothing in common with that; where sensors
+        bend signals `by_gain_per_mm2` (shot, row, column), by which the twin's signal grows with the gain. Images
+        are float64, for differences are taken of them; the others are float32, which rounds 6e-8 of a value: the
+        least noisy column of a scene has 1e-4, the noise knows itself to some percent.
         """
         columns, cameras = _columns(request)
         _refuse_too_much(request)
@@ -258,23 +259,33 @@ def _bend(arrays: Arrays, shots: Sequence[Shot]) -> None:
     """Let the sensors' effects act: images as if the light had been other, the rest by the slope there.
 
     An effect s acts on the signal y = g E + o; returned is E' with g E' + o = s(y), so that who multiplies by the
-    gain and adds the offset has the signal.
+    gain and adds the offset has the signal. Its derivative by the gain is then another, s' E.
     """
     for number, shot in enumerate(shots):
         if not shot.effects.bends_signals:
             continue
-        gain, offset = shot.camera.gain_dn, shot.camera.offset_dn
-        signal, step = gain * arrays["images_per_mm2"][number] + offset, SLOPE_STEP * shot.camera.full_scale_dn
-        low, at, high = (shot.effects.signal(signal + by, shot.camera) for by in (-step, 0.0, step))
-        if np.array_equal(at, signal):  # off: bit for bit as it was
+        image = arrays["images_per_mm2"][number]
+        bent, slope = _bent(image, shot)
+        if np.array_equal(bent, image):  # off: bit for bit as it was
             continue
-        arrays["images_per_mm2"][number] = (at - offset) / gain
-        slope = (high - low) / (2.0 * step)
+        twin = arrays.get("twin_per_mm2", arrays["images_per_mm2"])
+        by_gain = arrays.setdefault("by_gain_per_mm2", twin.astype(np.float32))
+        its_own, its_slope = _bent(twin[number].astype(np.float64), shot)
+        by_gain[number] = its_slope * twin[number]
+        twin[number] = its_own
+        arrays["images_per_mm2"][number] = bent
         for name in ("noise_per_mm2", "jacobian_per_mm2"):
             if name in arrays:
                 arrays[name][:, number] *= slope.astype(arrays[name].dtype)
-        if "twin_per_mm2" in arrays:  # stands for the image where derivatives by gain are taken
-            arrays["twin_per_mm2"][number] *= slope.astype(np.float32)
+
+
+def _bent(image_per_mm2: Real, shot: Shot) -> tuple[Real, Real]:
+    """An image as the sensor's effects leave it, bit for bit the same where they are off; their slope."""
+    gain, offset, step = shot.camera.gain_dn, shot.camera.offset_dn, SLOPE_STEP * shot.camera.full_scale_dn
+    signal = gain * image_per_mm2 + offset
+    low, at, high = (shot.effects.signal(signal + by, shot.camera) for by in (-step, 0.0, step))
+    bent = image_per_mm2 if np.array_equal(at, signal) else (at - offset) / gain
+    return bent, (high - low) / (2.0 * step)
 
 
 def _size(shot: ShotRequest) -> str:

@@ -166,7 +166,12 @@ class Evaluation:
     def other_columns(self, white: Whitening, others: Sequence[Predicted]) -> Real:
         """The columns once more, with noise of their own that is independent: gains by the anchored image."""
         predicted = [
-            replace(one, twin_per_mm2=None, jacobian_per_mm2=one.jacobian_per_mm2 | other.jacobian_per_mm2)
+            replace(
+                one,
+                twin_per_mm2=None,
+                by_gain_per_mm2=None,
+                jacobian_per_mm2=one.jacobian_per_mm2 | other.jacobian_per_mm2,
+            )
             for one, other in zip(self.predicted, others, strict=True)
         ]
         return replace(self, predicted=predicted).columns(white)
@@ -206,7 +211,8 @@ class Evaluation:
         for k, one in enumerate(self.problem.discrepancies):
             columns[place[f"discrepancy.{k}"]] = gain * one.images_per_mm2[index]
         columns[place[f"{shot}.offset_dn"]] = 1.0
-        irradiance = self.irradiance_per_mm2(index, quiet=True)
+        straight = predicted.by_gain_per_mm2
+        irradiance = self.irradiance_per_mm2(index, quiet=True) if straight is None else straight
         if tied(image):
             lit = image.shot.exposure_ms * irradiance
             columns[place["gain"]] = lit * (1.0 + self.by_name[f"{shot}.gain_error"])

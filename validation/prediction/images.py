@@ -246,7 +246,8 @@ def _images(wanted: Wanted, answer: Answer) -> Iterator[Predicted]:
     for shot, image in enumerate(arrays["images_per_mm2"]):
         noise = _real(arrays["noise_per_mm2"][:, shot]) if len(arrays.get("noise_per_mm2", ())) else None
         twin = _real(arrays["twin_per_mm2"][shot]) if "twin_per_mm2" in arrays else None
-        yield Predicted(_real(image), next(columns), noise, twin)
+        by_gain = _real(arrays["by_gain_per_mm2"][shot]) if "by_gain_per_mm2" in arrays else None
+        yield Predicted(_real(image), next(columns), noise, twin, by_gain)
 
 
 def _columns(paths: Sequence[str], answer: Answer) -> Iterator[dict[str, Real]]:

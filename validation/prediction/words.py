@@ -95,6 +95,8 @@ class Predicted:
     The noise of views with different samples is independent."""
     twin_per_mm2: Real | None = None
     """(row, column), the twin's own image where there is an anchor: it errs, but not as the anchor's noise does."""
+    by_gain_per_mm2: Real | None = None
+    """(row, column), by which the signal grows with the gain, where a sensor bends it: else as the image has it."""
 
 
 @dataclass(frozen=True, eq=False)
