@@ -12,7 +12,7 @@ order. About an anchor with noise the last steps are others (`_settled`).
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -138,7 +138,7 @@ def _unclipped(problem: Problem, values: Real, done: int = 0, most: int = MAX_IT
 def _descend(problem: Problem, values: Real, done: int, most: int) -> Fit:
     """Iterates from `values` to the optimum, or as far as it goes."""
     noisy = problem.anchor is not None and problem.anchor.histories > 0
-    evaluation, damping, stalled = problem.evaluate(values), 0.0, 0
+    evaluation, damping, stalled, pace = problem.evaluate(values), 0.0, 0, Pace()
     for iteration in range(done, done + most):
         white, reduced, columns = linearised(evaluation)
         last = reduced.step()
@@ -146,7 +146,7 @@ def _descend(problem: Problem, values: Real, done: int, most: int) -> Fit:
             return _settled(evaluation, iteration)
         if has_converged(problem, reduced, last):
             return conclude(evaluation, white, reduced, columns, last, iteration, True)
-        stepped, damping, gained = _step_down(evaluation, white, reduced, columns, damping)
+        stepped, damping, gained = _step_down(evaluation, white, reduced, columns, damping, pace)
         if stepped is None:  # no step is good: the prediction and its derivatives disagree
             break
         evaluation = stepped
@@ -168,10 +168,10 @@ def _settled(evaluation: Evaluation, iteration: int) -> Fit:
     what the data hardly know, for there most of a column is noise, and end up to an error from the solution. Where
     they are long, or chi2 would rise, or they take all light from an image, they are none of the last, and none is
     taken: the fit has not converged. Where noise is the larger part of a column they go too far, back, and further:
-    what two of them show of that is made good (`relaxed`).
+    what two of them show of that is made good (`Pace`).
     """
     problem, others, turn = evaluation.problem, evaluation.others(), 0
-    share, before = 1.0, None
+    pace = Pace()
     first = evaluation.whitening()
     highest = _chi2(evaluation, first) + RISE
     while True:
@@ -183,24 +183,12 @@ def _settled(evaluation: Evaluation, iteration: int) -> Fit:
         steps = np.where(seen, step.change / np.where(seen, error, 1.0), 0.0)
         longest = float(np.max(np.abs(steps), initial=0.0))
         near, turn = longest < SETTLED, turn + 1
-        share, before = relaxed(share, before, steps), steps
-        stepped = problem.unknowns.within(evaluation.values + share * step.change)
+        stepped = problem.unknowns.within(evaluation.values + pace.share_of(steps) * step.change)
         ends = near or longest > FAR or turn == SETTLING or _is_dark(problem, stepped)
         there = None if ends else problem.evaluate(stepped)
         if there is None or _chi2(there, first) > highest:
             return conclude(evaluation, white, reduced, columns, step, iteration + turn, near, other)
         evaluation = there
-
-
-def relaxed(share: float, before: Real | None, steps: Real) -> float:
-    """The share of a step to take, after one of which that share of `before` was taken: Aitken's, for vectors.
-
-    Irons and Tuck, Int. J. Numer. Methods Eng. 1, 275 (1969); never more than the whole step.
-    """
-    if before is None:
-        return 1.0
-    change = steps - before
-    return float(np.clip(-share * (before @ change) / max(float(change @ change), 1e-300), LEAST_TAKEN, 1.0))
 
 
 def _chi2(evaluation: Evaluation, white: Whitening) -> float:
@@ -229,6 +217,27 @@ def crossed(evaluation: Evaluation, white: Whitening, reduced: Reduced, columns:
     return Step(change, reduced.chi2_after(change), held)
 
 
+@dataclass
+class Pace:
+    """How much of each step to take where they go too far and back, for each makes another whitening: Aitken's way.
+
+    For vectors: Irons and Tuck, Int. J. Numer. Methods Eng. 1, 275 (1969); never more than the whole step.
+    """
+
+    share: float = 1.0
+    before: Real | None = None
+    """The last step that was asked about."""
+
+    def share_of(self, step: Real) -> float:
+        """The share of a step to take; all parameters in units alike."""
+        if self.before is not None:
+            change = step - self.before
+            found = -self.share * float(self.before @ change) / max(float(change @ change), 1e-300)
+            self.share = float(np.clip(found, LEAST_TAKEN, 1.0))
+        self.before = step
+        return self.share
+
+
 def linearised(evaluation: Evaluation, white: Whitening | None = None) -> tuple[Whitening, Reduced, Real]:
     """The whitening (that of the point, or a given one), the reduced linear problem and its whitened columns."""
     white = white or evaluation.whitening()
@@ -254,13 +263,14 @@ def pose_move_px(problem: Problem, change: Real) -> float:
 
 
 def _step_down(
-    evaluation: Evaluation, white: Whitening, reduced: Reduced, columns: Real, damping: float
+    evaluation: Evaluation, white: Whitening, reduced: Reduced, columns: Real, damping: float, pace: Pace
 ) -> tuple[Evaluation | None, float, float]:
     """The next evaluation that is better under the same whitening and columns; the next damping; what was gained."""
     problem, expected = evaluation.problem, reduced.gap
+    share = pace.share_of(reduced.step(short=True).change * reduced.length)
     while damping <= MAX_DAMPING:
         step = reduced.step(damping, short=True)
-        stepped = problem.unknowns.within(evaluation.values + step.change)
+        stepped = problem.unknowns.within(evaluation.values + share * step.change)
         if problem.model.effects and _is_dark(problem, stepped):  # no sensor has such a gain
             damping = max(10.0 * damping, 1e-3)
             continue
