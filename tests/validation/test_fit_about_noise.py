@@ -88,6 +88,43 @@ def test_a_fit_about_a_noisy_anchor_is_not_biased(about_noise):
     assert _pulls(naive, "array-a.gain", 300.0).mean() < -3.0
 
 
+def _fits_that_lack_something(noise):
+    """Of images with a texture that the model lacks, about anchors with noise."""
+    for seed in range(1, 6):
+        random = np.random.default_rng(seed)
+        drawn = {name: np.tensordot(random.standard_normal(len(one)), one, axes=1) for name, one in noise.items()}
+        rows, columns = np.indices((24, 24))
+        texture = 1.0 + 0.05 * np.cos(columns / 3.0) * np.cos(rows / 4.0)
+        images = [replace(one, signal_dn=one.signal_dn * texture) for one in two_images(100 + seed)]
+        yield fit(MODEL, images, Spots(noise, 0.02, drawn), anchor_at=lambda model: Anchored(model, 1000))
+
+
+def test_steps_that_go_too_far_and_back_come_to_an_end(monkeypatch):
+    """Each makes another whitening, by which the way back looks as good; taken whole, they go round for ever."""
+    noise = {one.id: _waves(one, 0.06) for one in (SINGLE, ARRAY)}
+    found = list(_fits_that_lack_something(noise))
+    assert all(one.converged for one in found)
+    monkeypatch.setattr(image_fit.Pace, "share_of", lambda *_: 1.0)
+    whole = list(_fits_that_lack_something(noise))
+    assert not all(one.converged for one in whole)
+    assert sum(one.iterations for one in found) < sum(one.iterations for one in whole)
+
+
+@pytest.mark.parametrize("ratio", [-0.6, -1.0, -1.6])
+def test_the_pace_ends_what_goes_back_and_forth(ratio):
+    """Whole steps would be `ratio` times the one before, along one of three directions."""
+    slope, at, pace = np.array([1.0 - ratio, 1.0, 0.9]), np.array([1.0, 0.3, -2.0]), image_fit.Pace()
+    for _ in range(12):
+        at = at - pace.share_of(-slope * at) * slope * at
+    assert np.abs(at).max() < 1e-3
+
+
+def test_the_pace_takes_steps_that_go_on_whole():
+    """A long way in one direction is not slowed down."""
+    pace = image_fit.Pace()
+    assert [pace.share_of(np.array([0.9**k, 0.1])) for k in range(5)] == [1.0] * 5
+
+
 class _Misled(Spots):
     """Its derivatives say nothing of how the images change: they are noise, another one for each walk."""
 

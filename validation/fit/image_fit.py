@@ -219,9 +219,9 @@ def crossed(evaluation: Evaluation, white: Whitening, reduced: Reduced, columns:
 
 @dataclass
 class Pace:
-    """How much of each step to take where they go too far and back, for each makes another whitening: Aitken's way.
+    """How much of a step to take where steps go too far and back, for each makes another whitening: Aitken's way.
 
-    For vectors: Irons and Tuck, Int. J. Numer. Methods Eng. 1, 275 (1969); never more than the whole step.
+    For vectors: Irons and Tuck, Int. J. Numer. Methods Eng. 1, 275 (1969). A step that goes on is taken whole.
     """
 
     share: float = 1.0
@@ -230,11 +230,12 @@ class Pace:
 
     def share_of(self, step: Real) -> float:
         """The share of a step to take; all parameters in units alike."""
-        if self.before is not None:
-            change = step - self.before
-            found = -self.share * float(self.before @ change) / max(float(change @ change), 1e-300)
-            self.share = float(np.clip(found, LEAST_TAKEN, 1.0))
-        self.before = step
+        before, self.before = self.before, step
+        if before is None or before @ step >= 0.0:
+            self.share = 1.0
+        else:
+            back = step - before
+            self.share = float(np.clip(-self.share * (before @ back) / (back @ back), LEAST_TAKEN, 1.0))
         return self.share
 
 
