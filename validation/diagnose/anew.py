@@ -76,7 +76,7 @@ def about_its_own(problem: Problem, found: Fit) -> Fit:
         about = replace(anchor, model=found.model, poses=tuple(found.poses.values()))
         there = replace(thawed(found, problem).problem, anchor=about)
         before, found = found, refitted(frozen_at(there, found.values), found.values, STEPS)
-        if moved(found, before, problem.unknowns.model_paths) <= ANCHOR_MOVE:
+        if found.converged and moved(found, before, problem.unknowns.model_paths) <= ANCHOR_MOVE:
             break
     return thawed(found, problem)
 

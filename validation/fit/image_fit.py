@@ -89,7 +89,7 @@ def fit(
             break
         anchored = replace(found.problem, anchor=replace(anchor, poses=tuple(found.poses.values())))
         at_anchor, found = found, _unclipped(anchored, found.values, found.iterations)
-        if moved(found, at_anchor, paths) < ANCHOR_MOVE:
+        if found.converged and moved(found, at_anchor, paths) < ANCHOR_MOVE:
             break
     return _quieter(found, most_histories)
 
