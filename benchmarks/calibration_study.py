@@ -1,6 +1,6 @@
 """Does calibration find the truth, and does the test of structure cry wolf? On images by Monte Carlo, not the twin.
 
-    python -m benchmarks.calibration_study [--truths 20] [--draws 15] [--resume FILE]
+    python -m benchmarks.calibration_study [--truths 20] [--draws 15] [--resume FILE] [--effects]
 
 Each truth has its own reflectances and loss. Its six images (single chips and 5 x 5, 0, 2.5 and 5.5 pairs, the
 declared camera) come of Monte Carlo; the fit is told the noise that this left in them (a laboratory's light does
@@ -37,16 +37,22 @@ from luxloop.model import Fit as Limits
 from luxloop.model import Model
 from luxloop.model_file import find_model
 from luxloop.settings import load_settings
+from validation.comparing import Solver
 from validation.contrasts.null import Variances, null
 from validation.contrasts.structure import fit_layout, fit_projection, judged
 from validation.dataset.manifest import CameraFacts, ImageShot, Sample
 from validation.dataset.simulate import DECLARED, expected_images, paper_plan, views_of
+from validation.diagnose.score import Projected, scores
+from validation.diagnose.verdict import LEVEL, is_visible
+from validation.diagnosing import Diagnosing
+from validation.effects.known import Known
 from validation.fit import Fit, fit
 from validation.fit.image_fit import crossed, linearised
 from validation.fit.problem import Evaluation, ImagePredictor
 from validation.fit.result import conclude
 from validation.measured import MeasuredImage
 from validation.noise import draw
+from validation.observed import Observed
 from validation.prediction import Anchored, Predicted, Predictor, View
 
 Real = NDArray[np.float64]
@@ -156,7 +162,14 @@ def truths_model(number: int) -> Model:
     return model
 
 
-def studied(number: int, predictor: Predictor, asked: argparse.Namespace) -> dict[str, Any]:
+def engine_for(found: Fit, predictor: Predictor, known: Known, seed: int) -> Diagnosing:
+    """What diagnoses the images of a fit."""
+    images, histories = found.problem.images, found.problem.anchor.histories if found.problem.anchor else 0
+    solver = Solver(histories or None, seed)
+    return Diagnosing(found.model, Observed(images, (), (), {}), predictor, known, solver, tuple(FREE))
+
+
+def studied(number: int, predictor: Predictor, asked: argparse.Namespace, known: Known | None) -> dict[str, Any]:
     """What one truth says: pulls of its full fit and of each draw, p-values, whether they were trusted."""
     began_s, samples, at = time.perf_counter(), paper_plan().samples, truths_model(number)
     truth = truth_of(at, samples, asked.histories, 100 + number)
@@ -174,16 +187,18 @@ def studied(number: int, predictor: Predictor, asked: argparse.Namespace) -> dic
         "at": [at.leaves()[path] for path in FREE],
     }  # fmt: skip
     there = found.problem.evaluate(found.values)
+    engine = engine_for(found, predictor, known, 7 + number) if known else None
     for percent in PATTERNS_PERCENT:
-        row[f"draws {percent:g} %"] = list(drawn(truth, samples, there, percent, seed, asked.draws, at))
+        row[f"draws {percent:g} %"] = list(drawn(truth, samples, there, percent, seed, asked.draws, at, engine))
     row["seconds"] = [lit_s - began_s, fitted_s - lit_s, time.perf_counter() - fitted_s]
     return row
 
 
 def drawn(
-    truth: Truth, samples: Sequence[Sample], there: Evaluation, percent: float, seed: int, count: int, at: Model
-) -> Iterator[dict[str, Any]]:
-    """Further noise on a truth, fitted on the linear model at its fit: one null serves all of these."""
+    truth: Truth, samples: Sequence[Sample], there: Evaluation, percent: float, seed: int, count: int, at: Model,
+    engine: Diagnosing | None,
+) -> Iterator[dict[str, Any]]:  # fmt: skip
+    """Further noise on a truth, fitted on the linear model at its fit: one null and one set of columns serve all."""
     camera = DECLARED.model_copy(update={"prnu_percent": percent})
     prepared: Any = None
     for turn in range(count):
@@ -197,9 +212,14 @@ def drawn(
             layout, projection = fit_layout(one), fit_projection(one)
             variances = Variances.of(layout, projection)
             drawn_null = null(layout, projection, variances.weight, NULL_DRAWS, seed)
-            prepared = white, (layout, projection, variances, drawn_null), other
+            effects = Projected.of(engine.signatures(one, engine.effects), projection) if engine else None
+            prepared = white, (layout, projection, variances, drawn_null), other, effects
         p = judged(one.residual, *prepared[1]).p
-        yield {"pulls": pulls(one, at), "p": p, "trusted": one.trusted, "chi2": one.chi2_per_row}
+        row = {"pulls": pulls(one, at), "p": p, "trusted": one.trusted, "chi2": one.chi2_per_row}
+        if prepared[3] is not None:
+            scored = scores(prepared[3], one.residual, one.variance_scale, seed=seed + turn)
+            row |= {"scores p": scored.p, "best": scored.effects[0].name}
+        yield row
 
 
 def main() -> None:
@@ -209,16 +229,17 @@ def main() -> None:
     for name, default in counts.items():
         parser.add_argument(f"--{name}", type=int, default=default)
     parser.add_argument("--resume", type=Path, help="file of truths that are done: those are read, others appended")
+    parser.add_argument("--effects", action="store_true", help="score tests of all effects on every draw")
     asked = parser.parse_args()
     rows = {}
     if asked.resume and asked.resume.exists():
         rows = {row["truth"]: row for row in map(json.loads, asked.resume.read_text().splitlines())}
     with Client(load_settings(), patience_s=300.0) as client:
-        predictor = Predictor(client)
+        predictor, known = Predictor(client), Known.ask(client) if asked.effects else None
         for number in range(asked.first, asked.first + asked.truths):
             if number in rows:
                 continue
-            rows[number] = row = studied(number, predictor, asked)
+            rows[number] = row = studied(number, predictor, asked, known)
             if asked.resume:
                 with asked.resume.open("a") as stream:
                     stream.write(json.dumps(row) + "\n")
@@ -226,6 +247,17 @@ def main() -> None:
             steps = ", ".join(f"{one:.0f}" for one in row["seconds"])
             print(f"truth {number}: truth, fit, draws in {steps} s; pulls of its full fit {told}", flush=True)
     tell([rows[number] for number in sorted(rows)])
+
+
+def tell_diagnosed(rows: Sequence[dict[str, Any]]) -> None:
+    """What a diagnosis would have seen."""
+    for percent in PATTERNS_PERCENT:
+        draws = [row[f"draws {percent:g} %"] for row in rows]
+        for level in (0.01, 0.05):
+            found = [[one["scores p"] < level for one in of] for of in draws]
+            print(f"  scores of all effects, pattern of {percent:g} %, at {100 * level:g} %: {share(found)}")
+        seen = [[is_visible(one["p"], one["scores p"]) for one in of] for of in draws]
+        print(f"  a diagnosis sees something, pattern of {percent:g} %, at {100 * LEVEL:g} %: {share(seen)}")
 
 
 def anchor_of(histories: int, seed: int, model: Model) -> Anchored:
@@ -277,6 +309,8 @@ def tell(rows: Sequence[dict[str, Any]]) -> None:
         for level in (0.01, 0.05):
             found = [[one["p"] < level for one in row[f"draws {percent:g} %"]] for row in rows]
             print(f"  pattern of {percent:g} %, at {100 * level:g} %: {share(found)}")
+    if all("scores p" in one for row in rows for one in row[plain]):
+        tell_diagnosed(rows)
     print(f"full fits not trusted: {sum(not row['trusted'] for row in rows)} of {len(rows)}")
 
 

@@ -117,3 +117,9 @@ def _listens(settings: Settings) -> bool:
 
 
 os.environ.setdefault("LUXLOOP_KERNELS", str(Path("~/.cache/luxloop/kernels").expanduser()))  # compiled at set-up
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Files with slow tests come first, so that no worker is left with a long one at the end."""
+    slow = {item.path for item in items if item.get_closest_marker("slow")}
+    items.sort(key=lambda item: item.path not in slow)

@@ -184,7 +184,7 @@ def test_what_chi2_does_at_a_step_is_looked_up_where_it_ends(monkeypatch, bend, 
         )  # fmt: skip
 
     problem.evaluate = evaluate
-    monkeypatch.setattr(image_fit, "_is_dark", lambda *_: False)
+    monkeypatch.setattr(image_fit, "is_dark", lambda *_: False)
     monkeypatch.setattr(image_fit, "conclude", lambda evaluation, *told: (evaluation.values, told[5]))
     values, settled = image_fit._settled(evaluate(np.zeros(2)), 0)
     assert settled == near

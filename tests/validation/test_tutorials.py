@@ -5,11 +5,15 @@ from __future__ import annotations
 import hashlib
 import json
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+from luxloop.client import Client
+from luxloop.errors import RemoteError
 from luxloop.settings import Settings
+from tests.conftest import start, wait_for
 from tests.validation.diagnose.test_diagnose_loop import told
 
 HOUSE = Path(__file__).parents[2]
@@ -46,7 +50,29 @@ def test_the_wafers_spread_is_named_and_the_error_falls_to_the_noise(settings: S
     assert [rung["effects"] for rung in rungs] == [[], ["film_thickness_spread"]]
 
 
+@pytest.fixture
+def one_set(settings: Settings) -> Iterator[None]:
+    """Processes that stay from command to command: what one has had computed the next need not."""
+    process = start(settings, "-m", "luxloop", "serve", "local", "--quiet")
+    try:
+        wait_for(lambda: is_served(settings), "the set", 60.0)
+        yield
+    finally:
+        process.terminate()
+        process.wait(30)
+
+
+def is_served(settings: Settings) -> bool:
+    """Whether a worker of each kind answers."""
+    try:
+        with Client(settings, local=False) as client:
+            return len(client.status(5.0).workers) == 2
+    except RemoteError:
+        return False
+
+
 @pytest.mark.slow
+@pytest.mark.usefixtures("one_set")
 def test_the_mirrors_layers_are_named_and_the_best_design_moves(settings: Settings, tmp_path: Path) -> None:
     """Images of the blind test's forward model; the page's winners are the better ones, each under its model."""
     tutorial = (HOUSE / "docs" / "tutorial-images.md").read_text(encoding="utf-8")

@@ -34,7 +34,7 @@ from validation.diagnose.frozen import FrozenCurves, FrozenImages, Slopes, froze
 from validation.effects.agreed import agreed
 from validation.effects.known import CHIP, applied, off_values, with_effect
 from validation.fit import Fit, prior_chi2, refitted, unknowns_of
-from validation.fit.image_fit import ANCHOR_MOVE, MAX_ANCHORS
+from validation.fit.image_fit import ANCHOR_MOVE, MAX_ANCHORS, is_dark
 from validation.fit.problem import CurvePredictor, ImagePredictor, Problem
 from validation.fit.start import start_values
 from validation.prediction import Anchored
@@ -128,7 +128,7 @@ def refit(base: Fit, score: Score, slopes: Slopes) -> Refitted:
 
 
 def freed(base: Fit, score: Score, slopes: Slopes) -> Refitted:
-    """The effect's parameter is one more unknown, begun where the score test expects it.
+    """The effect's parameter is one more unknown, begun where the score test expects it, and the others with it.
 
     Or half as far from off, as often as the images there are worse than without it: beyond a straight line's reach.
     """
@@ -140,13 +140,16 @@ def freed(base: Fit, score: Score, slopes: Slopes) -> Refitted:
     lines = frozenset() if candidate.effect.twin else frozenset([candidate.effect.name])
     slopes = {**slopes, path: candidate.parts}
     frozen = with_slopes(base.problem, slopes, squares, lines)
-    at, size = base.problem.unknowns.named(base.values), score.size
+    answer, size = base.answer_to(candidate.columns[0]), score.size
     for _ in range(1 + MOST_HALVINGS):
         start = float(np.clip(candidate.value(size), lower + least, upper - least))
-        problem, values = posed(frozen, added(base.model, candidate, start), tuple(slopes), at | {path: start})
-        residual = problem.evaluate(values).residual(base.whitening)
-        if residual @ residual <= base.chi2:
-            break
+        beside = base.problem.unknowns.within(base.values - candidate.size(start) * answer)
+        at = base.problem.unknowns.named(beside) | {path: start}
+        problem, values = posed(frozen, added(base.model, candidate, start), tuple(slopes), at)
+        if not is_dark(problem, values):
+            residual = problem.evaluate(values).residual(base.whitening)
+            if residual @ residual <= base.chi2:
+                break
         size = 0.5 * candidate.size(start)
     found = refitted(problem, values, STEPS)
     return Refitted(

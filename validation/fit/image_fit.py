@@ -184,7 +184,7 @@ def _settled(evaluation: Evaluation, iteration: int) -> Fit:
         longest = float(np.max(np.abs(steps), initial=0.0))
         near, turn = longest < SETTLED, turn + 1
         stepped = problem.unknowns.within(evaluation.values + pace.share_of(steps) * step.change)
-        ends = near or longest > FAR or turn == SETTLING or _is_dark(problem, stepped)
+        ends = near or longest > FAR or turn == SETTLING or is_dark(problem, stepped)
         there = None if ends else problem.evaluate(stepped)
         if there is None or _chi2(there, first) > highest:
             return conclude(evaluation, white, reduced, columns, step, iteration + turn, near, other)
@@ -272,7 +272,7 @@ def _step_down(
     while damping <= MAX_DAMPING:
         step = reduced.step(damping, short=True)
         stepped = problem.unknowns.within(evaluation.values + share * step.change)
-        if problem.model.effects and _is_dark(problem, stepped):  # no sensor has such a gain
+        if problem.model.effects and is_dark(problem, stepped):  # no sensor has such a gain
             damping = max(10.0 * damping, 1e-3)
             continue
         trial = problem.evaluate(stepped)
@@ -284,7 +284,7 @@ def _step_down(
     return None, damping, 0.0
 
 
-def _is_dark(problem: Problem, values: Real) -> bool:
+def is_dark(problem: Problem, values: Real) -> bool:
     """Whether an image would have a gain of zero: all of its light would be an offset."""
     by_name = problem.unknowns.named(values)
     return any(gain_of(image, by_name) <= 0.0 for image in problem.images)

@@ -223,6 +223,52 @@ def test_a_size_beyond_a_straight_lines_reach_is_begun_nearer(base: Fit) -> None
     assert abs(far.value - near.value) < 0.3 * near.error
 
 
+class Widening(Spots):
+    """Spots with an effect that does nearly what the halo does: a tenth of it is a ripple besides."""
+
+    def images(
+        self, model: Model, views: Sequence[View], paths: Sequence[str] = (), anchor: Anchored | None = None
+    ) -> list[Predicted]:
+        """As workers answer; derivatives by the model's own parameters."""
+        size = sum(float(one.parameters["size"]) for one in model.effects)  # type: ignore[arg-type]  # a number here
+        wider = model.model_copy(update={"effects": (), "fit": {}}).with_value(
+            HALO, float(model.leaves()[HALO]) + size
+        )
+        rippled = MODEL.model_copy(update={"effects": (applied(RIPPLE, {"size": 0.1 * size}),)})
+        own = [path for path in paths if not path.startswith("effects.")]
+        return [
+            replace(one, irradiance_per_mm2=seen(rippled, view, one.irradiance_per_mm2))
+            for view, one in zip(views, super().images(wider, views, own, anchor), strict=True)
+        ]
+
+
+def test_the_models_own_parameters_move_with_the_effect_from_the_start() -> None:
+    """A fit without the effect has put it into the halo: begun with the halo as it is, five starts would be worse."""
+    grows = spec("ripple")
+    truth = with_effect(MODEL.with_value(HALO, 0.3), applied(grows, {"size": 0.3}))
+    images = noisy(lambda view: Widening().images(truth, [view])[0].irradiance_per_mm2, 9)
+    base = fit(MODEL, images, Widening(), free=PATHS)
+    parts = []
+    for image in base.problem.images:
+        views = [view_of(image, base.poses[image.shot.id])]
+        off, on = (
+            Widening().images(with_effect(base.model, applied(grows, {"size": size})), views)[0].irradiance_per_mm2
+            for size in (0.0, H)
+        )
+        parts.append((on - off) / H)
+    column = Projection.of(base).rows(Column("ripple", "size", {}, None, H, tuple(parts)))
+    left = column - base.basis.data @ (base.basis.data.T @ column)
+    size = float(left @ base.residual / (left @ left))
+    score = Score(Candidate(grows, grows.parameters[0], (), column[None], tuple(parts)), 0.0, size, 0.0, 0.0)
+    predictor = Widening()
+    found = freed(replace(base, problem=replace(base.problem, predictor=predictor)), score, slopes_of(base))
+    assert found.fit is not None
+    assert found.fit.converged
+    assert found.value == pytest.approx(0.3, abs=4.0 * found.error)
+    assert found.fit.value(HALO) == pytest.approx(0.3, abs=4.0 * found.fit.error(HALO))
+    assert predictor.asked <= 6
+
+
 def test_monte_carlo_is_asked_for_anew_where_the_light_has_changed(base: Fit) -> None:
     """By more than a tenth in any image: the fit is made anew, about Monte Carlo of its own."""
     problem = replace(base.problem, predictor=Spots())
