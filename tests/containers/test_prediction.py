@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from containers.bsdf import GaussianLobe
-from containers.ray_tracing.exits import Exits, make_exits
+from containers.ray_tracing.exits import Exits, chip_key, make_exits
+from containers.ray_tracing.kernel import WEIGHT_OF_EXIT
 from containers.ray_tracing.monte_carlo import BLOCK
 from containers.ray_tracing.twin.columns import COLUMNS, film_column
 from containers.ray_tracing.twin.module import ModuleTwin
@@ -63,6 +64,33 @@ def test_an_anchor_without_monte_carlo_lends_its_exits_alone(dim: tuple[Scene, E
     column = COLUMNS["absorption_per_um"]
     anchor.predict([replace(shot, scene=column.move(shot.scene, 1e-4)) for shot in of], supply)
     assert len(walks) == 1
+
+
+def test_a_chip_with_another_emission_has_one_walk_at_any_absorption(dim: tuple[Scene, Exits]) -> None:
+    """Its exits are those of the anchor's chip with that emission, reweighted: they do not jump as it absorbs."""
+    case, _ = dim
+    walks: list[Scene] = []
+    supply = Supply(lambda s: (walks.append(s), make_exits(s, 1, BLOCK, notes=True))[1])
+    upwards = replace(case.emission, cosine=np.array([-1.0, 1.0]), intensity=np.array([0.9, 1.1]))
+
+    def moved(by_per_um: float, reflectance: float) -> Scene:
+        chip = replace(case.chip, absorption_per_um=case.chip.absorption_per_um + by_per_um)
+        return replace(case, chip=chip, emission=upwards, substrate=replace(case.substrate, reflectance=reflectance))  # type: ignore[type-var]  # of its kind
+
+    before = supply.of(case)
+    exits = [supply.of(moved(by, 0.9), case) for by in (0.0, 1e-6, 1e-3)]
+    assert [chip_key(one) for one in walks] == [chip_key(case), chip_key(replace(case, emission=upwards))]
+    for one in exits:
+        np.testing.assert_array_equal(one.rays, exits[0].rays)
+    assert not np.array_equal(before.rays, exits[0].rays)
+    own = make_exits(moved(1e-3, 0.9), 2, 8 * BLOCK, notes=True)
+    assert leaving(exits[2]) == pytest.approx(leaving(own), rel=0.01)
+
+
+def leaving(exits: Exits) -> float:
+    """Of the light that is born, by the exits' weights."""
+    weights = exits.rays[:, WEIGHT_OF_EXIT].astype(float) * (1.0 if exits.weights is None else exits.weights)
+    return float(weights.sum()) / (exits.histories * len(exits.ledger))
 
 
 def test_jacobian_columns_predict_small_changes(dim: tuple[Scene, Exits]) -> None:

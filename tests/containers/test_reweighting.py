@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from containers.bsdf import GaussianLobe, SpecularTable
+from containers.bsdf import Bsdf, GaussianLobe, Lambertian, Mixture, SpecularTable
 from containers.ray_tracing.arrays import THROUGH_TOP
-from containers.ray_tracing.exits import Exits, make_exits
+from containers.ray_tracing.exits import Exits, chip_key, make_exits
 from containers.ray_tracing.kernel import EVENT_OF_EXIT, WEIGHT_OF_EXIT
 from containers.ray_tracing.monte_carlo import BLOCK
-from containers.ray_tracing.twin.reweighting import reweighted
+from containers.ray_tracing.twin.reweighting import lender_of, reweighted
 from containers.scene import Face, Scene
 from luxloop.errors import InputError
 from tests.ray_scenes import N, scene
@@ -130,3 +130,38 @@ def test_exits_without_notes_are_refused(stored: tuple[Scene, Exits]) -> None:
     own, exits = stored
     with pytest.raises(InputError, match="notes=True"):
         reweighted(replace(exits, notes=np.zeros((0, 7), np.float32)), own, own)
+
+
+ROUGH = GaussianLobe(0.97, np.radians(20.0))
+
+
+@pytest.mark.parametrize(
+    ("bottom", "lent"),
+    [
+        (ROUGH, replace(ROUGH, reflectance=0.9)),
+        (
+            Mixture((ROUGH, Lambertian(0.97)), (0.5, 0.5)),
+            Mixture((replace(ROUGH, reflectance=0.9), Lambertian(0.9)), (0.5, 0.5)),
+        ),
+    ],
+)
+def test_a_chip_between_two_has_all_that_is_noted_of_the_one(bottom: Bsdf, lent: Bsdf) -> None:
+    """Absorption, top and the bottom's reflectance of the one; what scatters, and the sides, of the other."""
+    one = replace(CHANGES["all"](scene()), substrate=GaussianLobe(0.9, SIGMA))
+    other = scene({"sides": top(0.2)}, substrate=bottom)
+    between = lender_of(other, one)
+    expected = replace(
+        other, substrate=lent,
+        chip=replace(other.chip, top=one.chip.top, absorption_per_um=one.chip.absorption_per_um),
+    )  # fmt: skip
+    assert chip_key(between) == chip_key(expected)
+    exits = make_exits(between, 3, BLOCK, notes=True)
+    assert reweighted(exits, between, other).effective_share > 0.5
+    assert chip_key(lender_of(one, one)) == chip_key(one)
+
+
+def test_a_chip_of_another_index_keeps_its_own_top() -> None:
+    """A top is a table by the angle inside one material."""
+    one = replace(scene(), chip=replace(scene().chip, top=top(0.45)))
+    other = scene({"index": np.array([2.3])})
+    assert lender_of(other, one).chip.top is other.chip.top

@@ -28,7 +28,7 @@ from containers.ray_tracing.twin.columns import CameraColumn, Column
 from containers.ray_tracing.twin.direct import in_parallel
 from containers.ray_tracing.twin.module import BINS_PER_HEIGHT, PAD, Lights, ModuleTwin
 from containers.ray_tracing.twin.noise import NoiseBasis, noise_columns
-from containers.ray_tracing.twin.reweighting import OtherChipError, reweighted
+from containers.ray_tracing.twin.reweighting import OtherChipError, lender_of, reweighted
 from containers.scene import Array, Scene
 from luxloop.camera import Camera
 from luxloop.errors import InputError
@@ -78,6 +78,8 @@ class Shot:
 class Supply:
     """Exits of chips, each walked in once; of a chip near another one, the other's exits reweighted.
 
+    Where the other's cannot stand for a chip, those of a chip between the two do (`lender_of`).
+
     Parameters
     ----------
     make : from a scene to exits of its chip, with notes; always with one seed, so that chips share random numbers.
@@ -102,12 +104,13 @@ class Supply:
         return remembered(self._found, pair, lambda: self._near(scene, base))
 
     def _near(self, scene: Scene, base: Scene) -> Exits:
-        try:
-            found = reweighted(self._walk(base), base, scene)
-        except OtherChipError:
-            return self._walk(scene)
-        if found.effective_share > EFFECTIVE and found.inexact_share < INEXACT:
-            return found.exits
+        for lender in (base, lender_of(scene, base)):
+            try:
+                found = reweighted(self._walk(lender), lender, scene)
+            except OtherChipError:
+                continue
+            good = found.effective_share > EFFECTIVE and found.inexact_share < INEXACT
+            return found.exits if good else self._walk(scene)
         return self._walk(scene)
 
     def _walk(self, scene: Scene) -> Exits:

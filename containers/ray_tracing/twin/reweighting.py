@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from containers.bsdf import Bsdf, Lambertian
+from containers.bsdf import Bsdf, GaussianLobe, Lambertian, Mirror, Mixture
 from containers.ray_tracing.arrays import BOTTOM_HITS, DX, DY, PATH, TOP_COSINES, TOP_HITS, TRACE, Z
 from containers.ray_tracing.exits import Exits, chip_key
 from containers.ray_tracing.kernel import WAVE_OF_EXIT, WEIGHT_OF_EXIT
@@ -114,6 +114,34 @@ def without_what_is_noted(scene: Scene) -> tuple[Scene, float]:
     own = scene.chip.mirror is not None
     chip = replace(scene.chip, top=scene.chip.sides, absorption_per_um=0.0, mirror=bottom if own else None)
     return replace(scene, chip=chip, substrate=Lambertian(1.0) if own else bottom), kept
+
+
+def lender_of(wanted: Scene, stored: Scene) -> Scene:
+    """The wanted chip with all that exits note as the stored one has it: its exits can be reweighted for the wanted.
+
+    So a chip that differs in something else (where or whereto light is born, how its sides reflect) has walks that do
+    not depend on absorption, top and the bottom's reflectance, and no noise of their own when those move.
+    """
+    chip = replace(wanted.chip, absorption_per_um=stored.chip.absorption_per_um)
+    if np.array_equal(wanted.chip.index, stored.chip.index):
+        chip = replace(chip, top=stored.chip.top)
+    bottom, own = without_loss(_bottom(wanted))
+    _, kept = without_loss(_bottom(stored))
+    if own == kept or wanted.chip.bottom == "air_gap" or bottom is _bottom(wanted):
+        return replace(wanted, chip=chip)
+    lent = _reflecting(bottom, kept)
+    if chip.mirror is not None:
+        return replace(wanted, chip=replace(chip, mirror=lent))
+    return replace(wanted, chip=chip, substrate=lent)
+
+
+def _reflecting(bottom: Bsdf, reflectance: float) -> Bsdf:
+    """A surface without loss (`without_loss`) that reflects so much."""
+    if isinstance(bottom, Mixture):
+        return replace(bottom, parts=tuple(_reflecting(part, reflectance) for part in bottom.parts))
+    return (
+        replace(bottom, reflectance=reflectance) if isinstance(bottom, Lambertian | GaussianLobe | Mirror) else bottom
+    )
 
 
 def _same_face(one: tuple[Bsdf, ...], other: tuple[Bsdf, ...]) -> bool:
