@@ -152,6 +152,7 @@ def told(found: Diagnosis) -> str:
         rival, share = min(one.sigma_rival.values(), default=0.0), 100.0 * one.share.value
         size = f"{one.name} {one.value:.3g} +- {one.error:.2g}, drop {one.drop:.0f}"
         rows.append(f"{size}, explains {share:.0f} %, sigma {one.sigma:.1f}, beside its rival {rival:.1f}")
+        rows += one.distrust
     return f"{found.verdict.word} ({'; '.join(rows)})"
 
 

@@ -78,6 +78,8 @@ class Effect(Words):
     scope: ClassVar[Scope] = "global"
     twin: ClassVar[bool] = True
     """Whether the twin can represent what it makes of a scene; else Monte Carlo alone does."""
+    walks: ClassVar[bool] = False
+    """Whether light takes other ways inside the chips with each value: the twin's images then have other noise."""
     discrete: ClassVar[bool] = False
     conserves: ClassVar[tuple[Literal["energy", "reciprocity"], ...]] = ()
     excludes: ClassVar[tuple[str, ...]] = ()
@@ -99,6 +101,7 @@ class Effect(Words):
             acts_on=cls.acts_on(),
             scope=cls.scope,
             twin=cls.twin,
+            walks=cls.walks,
             discrete=cls.discrete,
             conserves=cls.conserves,
             excludes=cls.excludes,

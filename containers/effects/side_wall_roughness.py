@@ -17,6 +17,7 @@ class SideWallRoughness(SceneEffect):
     stage = "surface"
     formula = "each clear facet reflects and refracts by Fresnel's law; P(slopes) = exp(-(p^2 + q^2)/m^2)/(pi m^2)"
     reference = "Walter, Marschner, Li, Torrance, EGSR 2007, p. 195; Smith, IEEE TAP 15, 668 (1967), for masking"
+    walks = True
     conserves = ("energy", "reciprocity")
 
     slope: float = parameter(

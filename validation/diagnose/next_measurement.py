@@ -131,7 +131,8 @@ class Rivals:
         """What an effect of its fitted size does to the images of the model without it."""
         model = self.fit.model
         moved = [Moved(1.0, _at_size(model, one)), Moved(-1.0, model)]
-        return sight.summed(moved, not one.candidate.effect.twin, lender=model)
+        effect = one.candidate.effect
+        return sight.summed(moved, not effect.twin, lender=model, walks=effect.walks)
 
 
 def candidates_of(samples: Sequence[Sample]) -> Iterator[tuple[str, Sample, float]]:

@@ -64,6 +64,11 @@ class Known:
         return frozenset(one.name for one in self.specs if not one.twin)
 
 
+NEAR_OFF = 1e-6
+"""Of a step: where an effect begins that light takes other ways with. At off itself it has the ways of another chip,
+and a difference from there is mostly noise."""
+
+
 def off_values(spec: EffectSpec, shape: Mapping[str, Value] | None = None, chips: int = 0) -> dict[str, Value]:
     """Values at which an effect is absent; what only shapes it as in `shape`, else in the middle of its grid."""
     values = {one.name: _off(one, chips) for one in spec.parameters}
@@ -121,6 +126,17 @@ def far_end(one: EffectParameter) -> float:
     """The upper end of a parameter's range, or the lower one where off is the upper."""
     lower, upper = float(one.lower or 0.0), float(one.upper or 0.0)
     return upper if one.off is None or upper > float(one.off) else lower
+
+
+def nearly_off(spec: EffectSpec, values: Mapping[str, Value]) -> dict[str, Value]:
+    """Values so near to off that nothing is seen of the effect; what only shapes it stays."""
+    moving = {one.name: float(one.off) for one in acting(spec) if isinstance(one.off, float)}
+    return {
+        name: moving[name] + NEAR_OFF * (value - moving[name])
+        if name in moving and isinstance(value, float)
+        else value
+        for name, value in values.items()
+    }
 
 
 def applied(spec: EffectSpec, values: Mapping[str, Value]) -> AppliedEffect:

@@ -13,7 +13,7 @@ from luxloop.effect import EffectSpec, Value, check
 from luxloop.errors import InputError
 from luxloop.model import Model
 from validation.effects.example_set import CAMERA, MODULE, MODULE_VIEW, PEAK_SHARE, film_curves
-from validation.effects.known import Known, applied, typical, with_effect
+from validation.effects.known import Known, applied, nearly_off, typical, with_effect
 from validation.effects.signatures import Sight
 from validation.prediction import Predictor, Sensor, View
 
@@ -59,8 +59,9 @@ def shown(
         "design": film, "array": [MODULE.rows, MODULE.columns], "model": model.name, "kind": "nothing",
     }  # fmt: skip
     effected = with_effect(model, applied(spec, values))
+    without = with_effect(model, applied(spec, nearly_off(spec, values))) if spec.walks else model
     sight = Sight(predictor, [sensible(predictor, model)], film_curves(), known.beyond_twin)
-    (before, *curves), (after, *bent) = (sight.parts(one, not spec.twin, None, model) for one in (model, effected))
+    (before, *curves), (after, *bent) = (sight.parts(one, not spec.twin, None, model) for one in (without, effected))
     if not np.array_equal(before, after):
         return document | _image_facts(before, after), {"base": before, "with": after} | _axes(before.shape)
     pairs = dict(zip(("R", "T", "psi", "delta"), zip(curves, bent, strict=True), strict=True))

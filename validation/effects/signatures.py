@@ -6,6 +6,7 @@
 Whole predictions are moved, so an effect's own code is never asked for a derivative. Where the twin cannot represent
 an effect, Monte Carlo runs at each moved model with the same random numbers; twice with others, and what both agree
 about is the column: of walls at a module's edge a single difference is mostly noise, whose energy dilutes the effect.
+Where light takes other ways inside the chips with each value, the twin's walks are two in the same way.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from luxloop.effect import EffectParameter, EffectSpec, Value
 from luxloop.errors import InputError
 from luxloop.model import Model
 from validation.effects.agreed import agreed
-from validation.effects.known import acting, applied, off_values, with_effect
+from validation.effects.known import NEAR_OFF, acting, applied, off_values, with_effect
 from validation.fit import Fit
 from validation.fit.image_fit import linearised
 from validation.fit.least_squares import basis
@@ -85,17 +86,22 @@ class Sight:
         lender: Model | None = None,
         run: int = 0,
     ) -> list[tuple[Real, ...]]:
-        """The same of several models, asked for together; by which run of Monte Carlo (curves by the first).
+        """The same of several models, asked for together; by which run of Monte Carlo, or of the twin's walks.
+
+        Curves are those of the first run.
 
         All are lent the exits of one: the lender's, or the first model's.
         """
         wanted = tuple(range(len(self.views)) if views is None else views)
         traced = traced or self._is_beyond_twin(models)
-        keys = [(model.sha256, run if traced else (lender or models[0]).sha256, wanted) for model in models]
+        lent = "" if traced else (lender or models[0]).sha256
+        keys = [(model.sha256, run, lent, wanted) for model in models]
         new = {key: model for key, model in zip(keys, models, strict=True) if key not in self._known}
         if new:
             images = (
-                self._traced(new.values(), wanted, run) if traced else self._of_twin(new.values(), wanted, lender)
+                self._traced(new.values(), wanted, run)
+                if traced
+                else self._of_twin(new.values(), wanted, lender, 1 + run)
             )
             for (key, model), seen in zip(new.items(), images, strict=True):
                 self._known[key] = (*self._placed(seen, wanted), *(self._curves(model) if run == 0 else ()))
@@ -107,10 +113,15 @@ class Sight:
         traced: bool = False,
         views: Sequence[int] | None = None,
         lender: Model | None = None,
+        *,
+        walks: bool = False,
     ) -> tuple[Real, ...]:
-        """The parts of models times their weights, added up; by Monte Carlo what two runs of it agree about."""
+        """The parts of models times their weights, added up; by Monte Carlo what two runs of it agree about.
+
+        `walks` : the twin's walks inside chips are two, too.
+        """
         models, runs = [one.what for one in weighted], []
-        for run in range(RUNS if traced or self._is_beyond_twin(models) else 1):
+        for run in range(RUNS if traced or walks or self._is_beyond_twin(models) else 1):
             seen = self.parts_of(models, traced, views, lender, run)
             parts = [[one.weight * part for part in found] for one, found in zip(weighted, seen, strict=True)]
             runs.append([np.asarray(sum(of_models)) for of_models in zip(*parts, strict=True)])
@@ -129,10 +140,12 @@ class Sight:
             found = self.predictor.images(model, asked, (), anchor) if asked else []
             yield [one.irradiance_per_mm2 for one in found]
 
-    def _of_twin(self, models: Iterable[Model], wanted: Sequence[int], lender: Model | None) -> Iterator[list[Real]]:
+    def _of_twin(
+        self, models: Iterable[Model], wanted: Sequence[int], lender: Model | None, exit_seed: int
+    ) -> Iterator[list[Real]]:
         several = list(models)
         pairs = [(model, self.views[number]) for model in several for number in wanted]
-        found = self.predictor.several(pairs, lender or several[0]) if pairs else []
+        found = self.predictor.several(pairs, lender or several[0], exit_seed) if pairs else []
         count = len(wanted)
         yield from (found[first * count : (first + 1) * count] for first in range(len(several)))
 
@@ -225,13 +238,18 @@ class _Moving:
         """The model after a step in the score variable. Raises InputError where that leaves the range."""
         return self._model(self._value(by)) if by else self.model
 
+    def moved_nearly(self, by: float, step: float) -> Model:
+        """The same; off itself is left out for a value as near to it as shows nothing, on the side of the step."""
+        has = any(one.name == self.spec.name for one in self.model.effects)
+        return self.moved(by) if by or has else self.moved(NEAR_OFF * step)
+
     def step(self, scale: float) -> float:
         """In the score variable."""
         one = self.one
         room = [abs(float(end or 0.0) - float(one.off or 0.0)) for end in (one.lower, one.upper)]
         both, square = min(room) > 0.0, one.score_variable == "square"
         whole = max(room) ** 2 if square else min(room) if both else max(room)
-        if self.spec.twin:
+        if self.spec.is_smooth:
             return scale * STEP_SHARE[one.score_variable] * whole
         # short steps would leave the noise of Monte Carlo and little else: as far as there is room for
         longest = whole * (1.0 if both and not square else 0.5)
@@ -272,14 +290,24 @@ class _Moving:
 
 def _columns(sight: Sight, moving: Sequence[_Moving], views: Sequence[int] | None, scale: float) -> Iterator[Column]:
     """The columns of parameters, or of the chips of one, of one effect: all moved models are asked for together."""
-    steps = [stencil(one.moved, one.step(scale), f"effects.{one.spec.name}.{one.one.name}") for one in moving]
+    steps = [_stencil(one, one.step(scale)) for one in moving]
     models = [step.what for several in steps for step in several]
-    traced, lender = not moving[0].spec.twin, moving[0].model
-    for run in range(RUNS if traced else 1):
+    spec, lender = moving[0].spec, moving[0].model
+    traced = not spec.twin
+    for run in range(1 if spec.is_smooth else RUNS):
         sight.parts_of(models, traced, views, lender, run)
     for one, several in zip(moving, steps, strict=True):
-        parts = sight.summed(several, traced, views, lender)
+        parts = sight.summed(several, traced, views, lender, walks=spec.walks)
         yield Column(one.spec.name, one.one.name, one.shape, one.chip, one.step(scale), parts, one.sample)
+
+
+def _stencil(one: _Moving, step: float) -> list[Moved[Model]]:
+    """Where a parameter is moved to, with which weights."""
+    name = f"effects.{one.spec.name}.{one.one.name}"
+    if not one.spec.walks:
+        return stencil(one.moved, step, name)
+    room = one.one.upper is not None and one.value < one.one.upper
+    return stencil(lambda by: one.moved_nearly(by, step if room else -step), step, name)
 
 
 def _modules(sight: Sight, one: EffectParameter, apart: bool) -> Iterator[tuple[str, int, Sequence[int] | None]]:

@@ -127,14 +127,17 @@ def predict(wanted: Wanted, views: Sequence[View], ask: Ask) -> list[Predicted]:
     return [found[number] for number in range(len(views))]
 
 
-def several(wanted: Sequence[tuple[Model, View]], lender: Model, film_of: FilmOf, ask: Ask) -> list[Real]:
+def several(
+    wanted: Sequence[tuple[Model, View]], lender: Model, film_of: FilmOf, ask: Ask, exit_seed: int = 1
+) -> list[Real]:
     """The twin's images of views in models, with the exits of a lender's chips where these can stand for theirs."""
     groups = list(_groups([view for _, view in wanted], 1 + ANCHOR_FUNCTIONS))
     requests = []
     for group in groups:
         shots = tuple(_shot(*wanted[number], film_of) for number in group)
         lent = tuple(_shot(lender, wanted[number][1], film_of) for number in group)
-        requests.append(PredictionRequest(shots=shots, anchor=AnchorRequest(shots=lent, histories=0)))
+        anchor = AnchorRequest(shots=lent, histories=0)
+        requests.append(PredictionRequest(shots=shots, anchor=anchor, exit_seed=str(exit_seed)))
     found: dict[int, Real] = {}
     for group, answer in zip(groups, ask(requests), strict=True):
         found |= dict(zip(group, map(_real, answer.arrays["images_per_mm2"]), strict=True))

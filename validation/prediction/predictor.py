@@ -57,14 +57,15 @@ class Predictor:
         wanted = images.Wanted(model, tuple(paths), anchor, self._films.of, self._catalogue.beyond_twin(model))
         return self._again(lambda: images.predict(wanted, views, self._answers))
 
-    def several(self, wanted: Sequence[tuple[Model, View]], lender: Model) -> list[Real]:
+    def several(self, wanted: Sequence[tuple[Model, View]], lender: Model, exit_seed: int = 1) -> list[Real]:
         """The twin's images (row, column) of views, each in a model of its own, as many together as a request holds.
 
         Parameters
         ----------
         lender : whose chips' exits stand for those of a chip near them, so that what was moved has no new noise.
+        exit_seed : of the walks inside chips.
         """
-        return self._again(lambda: images.several(wanted, lender, self._films.of, self._answers))
+        return self._again(lambda: images.several(wanted, lender, self._films.of, self._answers, exit_seed))
 
     def monte_carlo(
         self, model: Model, views: Sequence[View], histories: int, seed: int, heard: Heard | None = None

@@ -72,7 +72,7 @@ class Affected(Spots):
             )
         return affected
 
-    def several(self, wanted: Sequence[tuple[Model, View]], lender: Model) -> list[Real]:  # noqa: ARG002  # no chips
+    def several(self, wanted: Sequence[tuple[Model, View]], lender: Model, exit_seed: int = 1) -> list[Real]:  # noqa: ARG002  # no chips
         """As the predictor's."""
         return [self.images(model, [view])[0].irradiance_per_mm2 for model, view in wanted]
 

@@ -36,6 +36,7 @@ class Pretended:
 
     def __init__(self, image: Callable[[dict[str, Any]], Any]) -> None:
         self.image, self.asked, self.anchors = image, 0, []  # type: ignore[var-annotated]
+        self.exit_seed = 1
 
     def images(self, model: Model, views: Sequence[View], _: Sequence[str] = (), anchor: Any = None) -> list[Any]:
         """One image for each view."""
@@ -43,8 +44,9 @@ class Pretended:
         self.anchors.append(anchor)
         return [Predicted(self.image(values_in(of_sample(model, view.sample.id))), {}) for view in views]
 
-    def several(self, wanted: Sequence[tuple[Model, View]], lender: Model) -> list[Any]:
+    def several(self, wanted: Sequence[tuple[Model, View]], lender: Model, exit_seed: int = 1) -> list[Any]:
         """The image of each view, in one question."""
+        self.exit_seed = exit_seed
         asked, seen = self.asked + 1, [self.images(model, [view], (), lender) for model, view in wanted]
         self.asked = asked
         return [found.irradiance_per_mm2 for (found,) in seen]
@@ -156,9 +158,9 @@ def test_models_asked_for_together_are_lent_the_exits_of_the_lender() -> None:
     lent: list[tuple[str, str]] = []
 
     class Lent(Pretended):
-        def several(self, wanted: Sequence[tuple[Model, View]], lender: Model) -> list[Any]:
+        def several(self, wanted: Sequence[tuple[Model, View]], lender: Model, exit_seed: int = 1) -> list[Any]:
             lent.extend((names[model.sha256], names[lender.sha256]) for model, _ in wanted)
-            return super().several(wanted, lender)
+            return super().several(wanted, lender, exit_seed)
 
     sight = sight_of(Lent(lambda _: BASE), SINGLE)
     base, other = Model(name="m"), Model(name="m").with_value("environment.substrate.reflectance", 0.9)
@@ -166,6 +168,28 @@ def test_models_asked_for_together_are_lent_the_exits_of_the_lender() -> None:
     sight.parts_of([other, base])
     sight.parts(base)
     assert lent == [("other", "other"), ("base", "other"), ("base", "base")]
+
+
+def test_an_effect_that_makes_light_take_other_ways_is_moved_from_nearly_off_by_two_walks() -> None:
+    """With it images have another noise, that of a walk; a difference from off itself is that noise over the step."""
+    noise = {seed: np.random.default_rng(seed).normal(0.0, 0.1, (SIDE, SIDE)) for seed in (1, 2)}
+
+    def image(at: dict[str, Any]) -> Any:
+        if "mine.a" not in at:
+            return BASE
+        assert at["mine.a"] > 0.0
+        return BASE + noise[predictor.exit_seed] * (1.0 + at["mine.a"]) + at["mine.a"] * ripple
+
+    predictor = Pretended(image)
+    rows, columns = np.indices((SIDE, SIDE))
+    ripple = np.cos(2.0 * np.pi * (rows + columns) / SIDE)
+    one_sided = AMPLITUDE.model_copy(update={"lower": 0.0, "one_sided": True})
+    spec = spec_of(one_sided, walks=True)
+    assert not spec.is_smooth
+    (column,) = signature(sight_of(predictor, SINGLE), Model(name="m"), spec)
+    error = column.parts[0] - ripple
+    assert column.step == pytest.approx(0.5 * float(one_sided.upper or 0.0))
+    assert np.sqrt(np.mean(error**2)) < 0.1  # from off itself it would be 0.6
 
 
 def test_projection_takes_out_what_is_taken_and_only_that() -> None:
