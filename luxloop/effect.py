@@ -85,21 +85,13 @@ class EffectSpec(Words):
     acts_on: tuple[Literal["modules", "films"], ...] = Field(("modules",), description="Films: those measured.")
     scope: Scope = Field("global", description="Whether one value holds for all data, per camera or per sample.")
     twin: bool = Field(True, description="Whether the deterministic twin can represent it.")
-    walks: bool = Field(
-        False,
-        description="Whether each value has other random walks inside the chips, whose noise the twin then has.",
-    )
+    walks: bool = Field(False, description="Whether each value has other walks inside the chips, and their noise.")
     discrete: bool = Field(False, description="No slope at off: tested by a refit, not by the score.")
     conserves: tuple[Literal["energy", "reciprocity"], ...] = ()
     excludes: tuple[Name, ...] = Field((), description="Effects that say the same in another way.")
     formula: str = Field("", max_length=1000, description="What it does, in a line.")
     reference: str = Field("", description="Where its formula comes from.")
     source_sha256: Sha256 | None = Field(None, description="Of the file of a user's own effect.")
-
-    @property
-    def is_smooth(self) -> bool:
-        """Whether the twin's images follow it without noise of their own."""
-        return self.twin and not self.walks
 
     @field_validator("parameters")
     @classmethod
@@ -125,9 +117,8 @@ def check(applied: AppliedEffect, spec: EffectSpec) -> None:
     if applied.name != spec.name:
         raise InputError(where, applied.name, spec.name, "this is the description of another effect")
     if applied.source_sha256 != spec.source_sha256:
-        raise InputError(
-            f"{where}.source_sha256", applied.source_sha256, str(spec.source_sha256), "the source changed"
-        )
+        given, wanted = applied.source_sha256, str(spec.source_sha256)
+        raise InputError(f"{where}.source_sha256", given, wanted, "the source changed")
     known = {parameter.name: parameter for parameter in spec.parameters}
     for name in applied.parameters:
         if name not in known:

@@ -21,7 +21,7 @@ from validation.diagnosing import Diagnosing
 from validation.effects.checking import Finding
 from validation.effects.confusing import Ground
 from validation.effects.example_set import example_images, example_spectra
-from validation.effects.known import Known, acting, applied, far_end, off_values, with_effect
+from validation.effects.known import Known, acting, applied, far_end, is_smooth, off_values, with_effect
 from validation.effects.signatures import Column, projected
 from validation.fit import curves_of, film_parameters
 from validation.fit.parameters import free_paths
@@ -78,7 +78,7 @@ def loudest(spec: EffectSpec, columns: Sequence[Column], rows: Real) -> tuple[Ef
 def noisy_images(truth: Model, predictor: Predictor, spec: EffectSpec) -> Observed:
     """The example images of a model, with the noise of the example camera."""
     random = np.random.default_rng(NOISE_SEED)
-    images = example_images(truth, predictor, 0 if spec.is_smooth else TRUTH_HISTORIES, TRUTH_SEED)
+    images = example_images(truth, predictor, 0 if is_smooth(spec) else TRUTH_HISTORIES, TRUTH_SEED)
     seen = tuple(replace(one, signal_dn=one.signal_dn + _noise(one, random)) for one in images)
     return Observed(seen, (), (), {})
 
@@ -108,7 +108,7 @@ def diagnosis(
     progress: Callable[[float, str], None],
 ) -> Diagnosis:
     """Of data by the model without the effect; about Monte Carlo where the twin cannot represent it."""
-    solver = Solver(None if spec.is_smooth else ANCHOR_HISTORIES)
+    solver = Solver(None if is_smooth(spec) else ANCHOR_HISTORIES)
     free = tuple(free_paths(model)) if observed.of_modules else ()
     return Diagnosing(model, observed, predictor, known, solver, free, progress=progress).diagnosed()
 

@@ -32,7 +32,7 @@ from validation.diagnose.anew import (
 from validation.diagnose.evidence import logs_of_spreads
 from validation.diagnose.frozen import FrozenCurves, FrozenImages, Slopes, frozen_at, without
 from validation.effects.agreed import agreed
-from validation.effects.known import CHIP, applied, off_values, with_effect
+from validation.effects.known import CHIP, applied, is_smooth, off_values, with_effect
 from validation.fit import Fit, prior_chi2, refitted, unknowns_of
 from validation.fit.image_fit import ANCHOR_MOVE, MAX_ANCHORS, is_dark
 from validation.fit.problem import CurvePredictor, ImagePredictor, Problem
@@ -137,7 +137,7 @@ def freed(base: Fit, score: Score, slopes: Slopes) -> Refitted:
     least = LEAST_SHARE * (upper - lower)
     path = path_of(candidate.effect.name, candidate.parameter.name)
     squares = frozenset([path] if candidate.parameter.score_variable == "square" else [])
-    lines = frozenset() if candidate.effect.is_smooth else frozenset([candidate.effect.name])
+    lines = frozenset() if is_smooth(candidate.effect) else frozenset([candidate.effect.name])
     slopes = {**slopes, path: candidate.parts}
     frozen = with_slopes(base.problem, slopes, squares, lines)
     answer, size = base.answer_to(candidate.columns[0]), score.size
@@ -234,7 +234,7 @@ def finished(found: Refitted, predictor: ImagePredictor, curves: CurvePredictor 
     spec, fit = found.candidate.effect, found.fit
     if fit is None:
         return found
-    if not spec.is_smooth:
+    if not is_smooth(spec):
         return _at_its_value(found, fit, predictor)
     problem, values = replace(fit.problem, predictor=predictor, predict_curves=curves), fit.values
     other = has_other_light(problem, values)
@@ -257,7 +257,7 @@ def finished(found: Refitted, predictor: ImagePredictor, curves: CurvePredictor 
 
 def is_stuck(found: Refitted, base: Fit) -> bool:
     """Whether a parameter that the base fit moves, too, is held at its limit."""
-    if found.fit is None or found.at_limit or found.candidate.is_switch or not found.candidate.effect.is_smooth:
+    if found.fit is None or found.at_limit or found.candidate.is_switch or not is_smooth(found.candidate.effect):
         return False
     return not {*base.problem.unknowns.model_paths}.isdisjoint(found.fit.at_limit)
 

@@ -106,6 +106,11 @@ def acting(spec: EffectSpec) -> list[EffectParameter]:
     return [one for one in spec.parameters if one.off is not None and not one.choices and not spec.discrete]
 
 
+def is_smooth(spec: EffectSpec) -> bool:
+    """Whether the twin represents it, and its images follow it without noise of their own."""
+    return spec.twin and not spec.walks
+
+
 def typical(spec: EffectSpec, chips: int = 0) -> dict[str, Value]:
     """Values that show an effect: a third of the way from off to the upper end; of chips every other one."""
     values: dict[str, Value] = {}

@@ -21,7 +21,7 @@ from luxloop.effect import EffectParameter, EffectSpec, Value
 from luxloop.errors import InputError
 from luxloop.model import Model
 from validation.effects.agreed import agreed
-from validation.effects.known import NEAR_OFF, acting, applied, off_values, with_effect
+from validation.effects.known import NEAR_OFF, acting, applied, is_smooth, off_values, with_effect
 from validation.fit import Fit
 from validation.fit.image_fit import linearised
 from validation.fit.least_squares import basis
@@ -249,7 +249,7 @@ class _Moving:
         room = [abs(float(end or 0.0) - float(one.off or 0.0)) for end in (one.lower, one.upper)]
         both, square = min(room) > 0.0, one.score_variable == "square"
         whole = max(room) ** 2 if square else min(room) if both else max(room)
-        if self.spec.is_smooth:
+        if is_smooth(self.spec):
             return scale * STEP_SHARE[one.score_variable] * whole
         # short steps would leave the noise of Monte Carlo and little else: as far as there is room for
         longest = whole * (1.0 if both and not square else 0.5)
@@ -294,7 +294,7 @@ def _columns(sight: Sight, moving: Sequence[_Moving], views: Sequence[int] | Non
     models = [step.what for several in steps for step in several]
     spec, lender = moving[0].spec, moving[0].model
     traced = not spec.twin
-    for run in range(1 if spec.is_smooth else RUNS):
+    for run in range(1 if is_smooth(spec) else RUNS):
         sight.parts_of(models, traced, views, lender, run)
     for one, several in zip(moving, steps, strict=True):
         parts = sight.summed(several, traced, views, lender, walks=spec.walks)

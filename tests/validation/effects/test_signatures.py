@@ -15,7 +15,7 @@ from luxloop.errors import InputError
 from luxloop.model import Model
 from validation.dataset.manifest import Sample
 from validation.effects.confounding import Confounding, confounding
-from validation.effects.known import Known, far_end, off_values, shapes_of, stanza, typical, with_effect
+from validation.effects.known import Known, far_end, is_smooth, off_values, shapes_of, stanza, typical, with_effect
 from validation.effects.known import applied as applied_to
 from validation.effects.signatures import RUNS, Projection, Sight, projected, signature
 from validation.fit.whitening import Whitening
@@ -185,7 +185,7 @@ def test_an_effect_that_makes_light_take_other_ways_is_moved_from_nearly_off_by_
     ripple = np.cos(2.0 * np.pi * (rows + columns) / SIDE)
     one_sided = AMPLITUDE.model_copy(update={"lower": 0.0, "one_sided": True})
     spec = spec_of(one_sided, walks=True)
-    assert not spec.is_smooth
+    assert not is_smooth(spec)
     (column,) = signature(sight_of(predictor, SINGLE), Model(name="m"), spec)
     error = column.parts[0] - ripple
     assert column.step == pytest.approx(0.5 * float(one_sided.upper or 0.0))
