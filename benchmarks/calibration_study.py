@@ -309,8 +309,9 @@ def tell(rows: Sequence[dict[str, Any]]) -> None:
         for level in (0.01, 0.05):
             found = [[one["p"] < level for one in row[f"draws {percent:g} %"]] for row in rows]
             print(f"  pattern of {percent:g} %, at {100 * level:g} %: {share(found)}")
-    if all("scores p" in one for row in rows for one in row[plain]):
-        tell_diagnosed(rows)
+    if scored := [row for row in rows if all("scores p" in one for one in row[plain])]:
+        print(f"score tests and verdicts, {len(scored)} truths")
+        tell_diagnosed(scored)
     print(f"full fits not trusted: {sum(not row['trusted'] for row in rows)} of {len(rows)}")
 
 

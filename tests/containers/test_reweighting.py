@@ -165,3 +165,12 @@ def test_a_chip_of_another_index_keeps_its_own_top() -> None:
     one = replace(scene(), chip=replace(scene().chip, top=top(0.45)))
     other = scene({"index": np.array([2.3])})
     assert lender_of(other, one).chip.top is other.chip.top
+
+
+def test_chips_on_a_mirror_have_one_chip_between_whatever_lies_below_it() -> None:
+    """One coat moves the mirror and the substrate; no light of the chip comes to the substrate."""
+    one, other = (scene({"bottom": "mirror", "mirror": GaussianLobe(r, SIGMA)}) for r in (0.97, 0.9))
+    upwards = replace(one.emission, intensity=np.array([0.9, 1.1]))
+    moved = [replace(other, emission=upwards, substrate=GaussianLobe(r, SIGMA)) for r in (0.9, 0.91)]
+    keys = {chip_key(lender_of(wanted, one)) for wanted in moved}
+    assert keys == {chip_key(replace(one, emission=upwards))}

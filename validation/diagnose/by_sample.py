@@ -21,7 +21,7 @@ from luxloop.model import Fit as Limits
 from luxloop.model import Model
 from validation.diagnose.frozen import slopes_of
 from validation.diagnose.refit import LEAST_SHARE, drawn_back, limits_of, posed, with_slopes
-from validation.effects.known import acting, applied, off_values, shapes_of, with_effect
+from validation.effects.known import acting, applied, is_smooth, off_values, shapes_of, with_effect
 from validation.effects.signatures import Column, Projection
 from validation.fit import Fit, refitted
 from validation.fit.image_fit import ANCHOR_MOVE, MAX_ANCHORS
@@ -61,10 +61,10 @@ def with_own_values(base: Fit, spec: EffectSpec, columns_at: Columns) -> Fit:
     model, start = _begun(base.model, spec, own, spread)
     slopes: dict[str, Sequence[Real]] = {**slopes_of(base)}
     slopes |= {member.path: column.parts for member, column in _members(own)}
-    squares, lines = _squares(spec, own), frozenset([] if spec.twin else [spec.name])
+    squares, lines = _squares(spec, own), frozenset([] if is_smooth(spec) else [spec.name])
     frozen, at = with_slopes(base.problem, slopes, squares, lines), base.problem.unknowns.named(base.values)
     found = refitted(*posed(frozen, model, tuple(slopes), at | start))
-    for _ in range(1 if spec.twin else MAX_ANCHORS):
+    for _ in range(1 if is_smooth(spec) else MAX_ANCHORS):
         before, found = found, _settled(base, found, spec, own, columns_at)
         moves = [abs(found.value(path) - before.value(path)) / found.error(path) for path in start]
         if max(moves) <= ANCHOR_MOVE:
@@ -81,7 +81,7 @@ def with_members_free(base: Fit, specs: Sequence[EffectSpec], columns_at: Column
         known = {_member(one).path: one for one in columns if _member(one).path in free}
         slopes |= {path: column.parts for path, column in known.items()}
         squares |= {path for path, column in known.items() if _parameter(spec, column).score_variable == "square"}
-    lines = frozenset(spec.name for spec in specs if not spec.twin)
+    lines = frozenset(spec.name for spec in specs if not is_smooth(spec))
     start = {path: free[path][1] for path in slopes}
     frozen, own = with_slopes(base.problem, slopes, frozenset(squares), lines), base.problem.unknowns
     return refitted(*posed(frozen, base.model, (*own.model_paths, *slopes), own.named(base.values) | start))
@@ -97,10 +97,10 @@ def _settled(base: Fit, found: Fit, spec: EffectSpec, own: Mapping[str, Own], co
         if one.sample in own and own[one.sample].shape == shape
     }
     problem = replace(found.problem, predictor=base.problem.predictor, predict_curves=base.problem.predict_curves)
-    if not spec.twin and problem.anchor is not None:
+    if not is_smooth(spec) and problem.anchor is not None:
         poses = tuple(found.poses.values())
         problem = replace(problem, anchor=replace(problem.anchor, model=found.model, poses=poses))
-    frozen = with_slopes(problem, parts, _squares(spec, own), frozenset([] if spec.twin else [spec.name]))
+    frozen = with_slopes(problem, parts, _squares(spec, own), frozenset([] if is_smooth(spec) else [spec.name]))
     model = found.model.model_copy(update={"fit": found.model.fit | _renewed(found, spec, own)})
     known = found.problem.unknowns
     return refitted(*posed(frozen, model, known.model_paths, known.named(found.values)))

@@ -118,6 +118,8 @@ def _switches(
         for value in others:
             values = off_values(spec, shape) | {one.name: value}
             model = with_effect(fit.model, applied(spec, values))
-            parts = sight.summed([Moved(1.0, model), Moved(-1.0, fit.model)], not spec.twin, lender=fit.model)
+            parts = sight.summed(
+                [Moved(1.0, model), Moved(-1.0, fit.model)], not spec.twin, lender=fit.model, walks=spec.walks
+            )
             column = Column(spec.name, one.name, values, None, 1.0, parts)
             yield Candidate(spec, one, tuple(values.items()), projection.rows(column)[None], is_switch=True)

@@ -20,7 +20,7 @@ from validation.dataset.manifest import Sample
 from validation.diagnose.columns import FitSight
 from validation.diagnose.refit import Refitted
 from validation.diagnose.separation import Rows, sigma_left
-from validation.effects.known import applied, off_values, with_effect
+from validation.effects.known import applied, nearly_off, off_values, with_effect
 from validation.effects.signatures import HISTORIES, RUNS, Sight
 from validation.fit import Fit
 from validation.fit.problem import sensor_of, view_of
@@ -129,9 +129,12 @@ class Rivals:
 
     def _change(self, sight: Sight, one: Refitted) -> tuple[Real, ...]:
         """What an effect of its fitted size does to the images of the model without it."""
-        model = self.fit.model
-        moved = [Moved(1.0, _at_size(model, one)), Moved(-1.0, model)]
-        effect = one.candidate.effect
+        model, effect = self.fit.model, one.candidate.effect
+        there, off = _at_size(model, one), model
+        if effect.walks:
+            values = next(other.parameters for other in there.effects if other.name == effect.name)
+            off = with_effect(model, applied(effect, nearly_off(effect, values)))
+        moved = [Moved(1.0, there), Moved(-1.0, off)]
         return sight.summed(moved, not effect.twin, lender=model, walks=effect.walks)
 
 

@@ -35,6 +35,7 @@ from validation.effects.agreed import agreed
 from validation.effects.known import CHIP, applied, is_smooth, off_values, with_effect
 from validation.fit import Fit, prior_chi2, refitted, unknowns_of
 from validation.fit.image_fit import ANCHOR_MOVE, MAX_ANCHORS, is_dark
+from validation.fit.least_squares import reduce
 from validation.fit.problem import CurvePredictor, ImagePredictor, Problem
 from validation.fit.start import start_values
 from validation.prediction import Anchored
@@ -128,7 +129,7 @@ def refit(base: Fit, score: Score, slopes: Slopes) -> Refitted:
 
 
 def freed(base: Fit, score: Score, slopes: Slopes) -> Refitted:
-    """The effect's parameter is one more unknown, begun where the score test expects it, and the others with it.
+    """The effect's parameter is one more unknown, begun where the score test expects it, the others beside it.
 
     Or half as far from off, as often as the images there are worse than without it: beyond a straight line's reach.
     """
@@ -140,17 +141,22 @@ def freed(base: Fit, score: Score, slopes: Slopes) -> Refitted:
     lines = frozenset() if is_smooth(candidate.effect) else frozenset([candidate.effect.name])
     slopes = {**slopes, path: candidate.parts}
     frozen = with_slopes(base.problem, slopes, squares, lines)
-    answer, size = base.answer_to(candidate.columns[0]), score.size
+    size, own = score.size, base.problem.unknowns
     for _ in range(1 + MOST_HALVINGS):
         start = float(np.clip(candidate.value(size), lower + least, upper - least))
-        beside = base.problem.unknowns.within(base.values - candidate.size(start) * answer)
-        at = base.problem.unknowns.named(beside) | {path: start}
-        problem, values = posed(frozen, added(base.model, candidate, start), tuple(slopes), at)
+        left = base.residual - candidate.size(start) * candidate.columns[0]
+        step = reduce(base.columns, left, own.parameters, base.values).step(short=True)
+        beside = own.within(base.values + step.change)
+        problem, values = posed(
+            frozen, added(base.model, candidate, start), tuple(slopes), own.named(beside) | {path: start}
+        )
         if not is_dark(problem, values):
             residual = problem.evaluate(values).residual(base.whitening)
-            if residual @ residual <= base.chi2:
+            if residual @ residual + prior_chi2(own.parameters, beside) <= _chi2(base):
                 break
         size = 0.5 * candidate.size(start)
+    if is_dark(problem, values):
+        problem, values = posed(frozen, problem.model, tuple(slopes), own.named(base.values) | {path: start})
     found = refitted(problem, values, STEPS)
     return Refitted(
         candidate, found.value(path), found.error(path), found.residual, _chi2(found), path in found.at_limit,

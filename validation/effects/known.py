@@ -135,13 +135,15 @@ def far_end(one: EffectParameter) -> float:
 
 def nearly_off(spec: EffectSpec, values: Mapping[str, Value]) -> dict[str, Value]:
     """Values so near to off that nothing is seen of the effect; what only shapes it stays."""
-    moving = {one.name: float(one.off) for one in acting(spec) if isinstance(one.off, float)}
-    return {
-        name: moving[name] + NEAR_OFF * (value - moving[name])
-        if name in moving and isinstance(value, float)
-        else value
-        for name, value in values.items()
-    }
+    off = {one.name: one.off for one in acting(spec) if isinstance(one.off, float)}
+    return {name: _drawn(value, off[name]) if name in off else value for name, value in values.items()}
+
+
+def _drawn(value: Value, off: float) -> Value:
+    """A number, or each of several, drawn nearly to off."""
+    if isinstance(value, tuple):
+        return tuple(off + NEAR_OFF * (one - off) for one in value)
+    return off + NEAR_OFF * (value - off) if isinstance(value, float) else value
 
 
 def applied(spec: EffectSpec, values: Mapping[str, Value]) -> AppliedEffect:

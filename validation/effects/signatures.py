@@ -88,9 +88,7 @@ class Sight:
     ) -> list[tuple[Real, ...]]:
         """The same of several models, asked for together; by which run of Monte Carlo, or of the twin's walks.
 
-        Curves are those of the first run.
-
-        All are lent the exits of one: the lender's, or the first model's.
+        All are lent the exits of one: the lender's, or the first model's. Curves are those of the first run.
         """
         wanted = tuple(range(len(self.views)) if views is None else views)
         traced = traced or self._is_beyond_twin(models)
@@ -101,7 +99,7 @@ class Sight:
             images = (
                 self._traced(new.values(), wanted, run)
                 if traced
-                else self._of_twin(new.values(), wanted, lender, 1 + run)
+                else self._of_twin(new.values(), wanted, lender or models[0], 1 + run)
             )
             for (key, model), seen in zip(new.items(), images, strict=True):
                 self._known[key] = (*self._placed(seen, wanted), *(self._curves(model) if run == 0 else ()))
@@ -141,11 +139,11 @@ class Sight:
             yield [one.irradiance_per_mm2 for one in found]
 
     def _of_twin(
-        self, models: Iterable[Model], wanted: Sequence[int], lender: Model | None, exit_seed: int
+        self, models: Iterable[Model], wanted: Sequence[int], lender: Model, exit_seed: int
     ) -> Iterator[list[Real]]:
         several = list(models)
         pairs = [(model, self.views[number]) for model in several for number in wanted]
-        found = self.predictor.several(pairs, lender or several[0], exit_seed) if pairs else []
+        found = self.predictor.several(pairs, lender, exit_seed) if pairs else []
         count = len(wanted)
         yield from (found[first * count : (first + 1) * count] for first in range(len(several)))
 
@@ -240,8 +238,7 @@ class _Moving:
 
     def moved_nearly(self, by: float, step: float) -> Model:
         """The same; off itself is left out for a value as near to it as shows nothing, on the side of the step."""
-        has = any(one.name == self.spec.name for one in self.model.effects)
-        return self.moved(by) if by or has else self.moved(NEAR_OFF * step)
+        return self.moved(by + NEAR_OFF * step if self._value(by) == self.one.off else by)
 
     def step(self, scale: float) -> float:
         """In the score variable."""
@@ -306,8 +303,8 @@ def _stencil(one: _Moving, step: float) -> list[Moved[Model]]:
     name = f"effects.{one.spec.name}.{one.one.name}"
     if not one.spec.walks:
         return stencil(one.moved, step, name)
-    room = one.one.upper is not None and one.value < one.one.upper
-    return stencil(lambda by: one.moved_nearly(by, step if room else -step), step, name)
+    up = float(one.one.upper or 0.0) > float(one.one.off or 0.0)
+    return stencil(lambda by: one.moved_nearly(by, step if up else -step), step, name)
 
 
 def _modules(sight: Sight, one: EffectParameter, apart: bool) -> Iterator[tuple[str, int, Sequence[int] | None]]:

@@ -90,14 +90,6 @@ class Fit:
         """What the fit takes out of noise: needed by every test of what is left."""
         return basis(self.columns, self.reduced, self.active)
 
-    def answer_to(self, column: Real) -> Real:
-        """(parameter,) How far the parameters move, to first order, where data grow by a whitened column (row,)."""
-        keep = self.active & ~self.reduced.blind
-        products = self.columns[keep] @ column
-        change = np.zeros(len(keep))
-        change[keep] = self.reduced.covariance(1.0, self.active)[np.ix_(keep, keep)] @ products
-        return change
-
     @cached_property
     def residual_images(self) -> list[Real]:
         """Whitened residual of each image, zero where unused."""

@@ -127,11 +127,10 @@ def lender_of(wanted: Scene, stored: Scene) -> Scene:
         chip = replace(chip, top=stored.chip.top)
     bottom, own = without_loss(_bottom(wanted))
     _, kept = without_loss(_bottom(stored))
-    if own == kept or wanted.chip.bottom == "air_gap" or bottom is _bottom(wanted):
-        return replace(wanted, chip=chip)
-    lent = _reflecting(bottom, kept)
-    if chip.mirror is not None:
-        return replace(wanted, chip=replace(chip, mirror=lent))
+    alike = own == kept or wanted.chip.bottom == "air_gap" or bottom is _bottom(wanted)
+    lent = _bottom(wanted) if alike else _reflecting(bottom, kept)
+    if chip.mirror is not None:  # no light of the chip comes to the substrate
+        return replace(wanted, chip=replace(chip, mirror=lent), substrate=stored.substrate)
     return replace(wanted, chip=chip, substrate=lent)
 
 

@@ -15,7 +15,17 @@ from luxloop.errors import InputError
 from luxloop.model import Model
 from validation.dataset.manifest import Sample
 from validation.effects.confounding import Confounding, confounding
-from validation.effects.known import Known, far_end, is_smooth, off_values, shapes_of, stanza, typical, with_effect
+from validation.effects.known import (
+    Known,
+    far_end,
+    is_smooth,
+    nearly_off,
+    off_values,
+    shapes_of,
+    stanza,
+    typical,
+    with_effect,
+)
 from validation.effects.known import applied as applied_to
 from validation.effects.signatures import RUNS, Projection, Sight, projected, signature
 from validation.fit.whitening import Whitening
@@ -187,9 +197,18 @@ def test_an_effect_that_makes_light_take_other_ways_is_moved_from_nearly_off_by_
     spec = spec_of(one_sided, walks=True)
     assert not is_smooth(spec)
     (column,) = signature(sight_of(predictor, SINGLE), Model(name="m"), spec)
+    there = with_effect(Model(name="m"), applied_to(spec, {"a": 0.25}))  # the step down would end at off
+    signature(sight_of(predictor, SINGLE), there, spec)
     error = column.parts[0] - ripple
     assert column.step == pytest.approx(0.5 * float(one_sided.upper or 0.0))
     assert np.sqrt(np.mean(error**2)) < 0.1  # from off itself it would be 0.6
+
+
+def test_nearly_off_is_near_to_off_in_what_acts_alone() -> None:
+    """What shapes an effect stays; of several numbers each is drawn to off."""
+    spec = spec_of(AMPLITUDE, walks=True)
+    assert nearly_off(spec, {"a": 0.5, "word": "x"}) == {"a": pytest.approx(0.5e-6), "word": "x"}
+    assert nearly_off(spec, {"a": (0.5, -0.5)})["a"] == pytest.approx((0.5e-6, -0.5e-6))
 
 
 def test_projection_takes_out_what_is_taken_and_only_that() -> None:
