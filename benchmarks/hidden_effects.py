@@ -99,6 +99,13 @@ def cases() -> list[Case]:
             with_effects(PAPER, receiver_volume_scatter={"scatter_share": 0.2, "spread_um": 150.0}), PAPER,
             "receiver_volume_scatter", 0.2,
         ),
+        Case(
+            "dipoles 0.2", with_effects(PAPER, dipole_orientation={"preference": 0.2}), PAPER, "dipole_orientation", 0.2
+        ),
+        Case(
+            "rough side walls 0.1", with_effects(PAPER, side_wall_roughness={"slope": 0.1}), PAPER,
+            "side_wall_roughness", 0.1,
+        ),
     ]  # fmt: skip
 
 
