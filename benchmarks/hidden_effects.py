@@ -100,7 +100,8 @@ def cases() -> list[Case]:
             "receiver_volume_scatter", 0.2,
         ),
         Case(
-            "dipoles 0.2", with_effects(PAPER, dipole_orientation={"preference": 0.2}), PAPER, "dipole_orientation", 0.2
+            "dipoles 0.2", with_effects(PAPER, dipole_orientation={"preference": 0.2}), PAPER,
+            "dipole_orientation", 0.2,
         ),
         Case(
             "rough side walls 0.1", with_effects(PAPER, side_wall_roughness={"slope": 0.1}), PAPER,
