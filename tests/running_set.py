@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import subprocess
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 from luxloop.client import Client
 from luxloop.errors import RemoteError
@@ -46,3 +48,24 @@ class RunningSet:
         except RemoteError:
             return False
         return True
+
+
+@contextmanager
+def local_set(settings: Settings) -> Iterator[None]:
+    """A set as `luxloop serve local` starts it, kept from command to command until the end of the block."""
+    process = start(settings, "-m", "luxloop", "serve", "local", "--quiet")
+    try:
+        wait_for(lambda: _workers(settings) == 2, "two workers", 60.0)
+        yield
+    finally:
+        process.terminate()
+        process.wait(30)
+
+
+def _workers(settings: Settings) -> int:
+    """How many answer."""
+    try:
+        with Client(settings, local=False) as client:
+            return len(client.status(1.0).workers)
+    except RemoteError:
+        return 0

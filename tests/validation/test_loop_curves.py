@@ -10,10 +10,9 @@ from typing import Any
 
 import pytest
 
-from luxloop.client import Client
-from luxloop.errors import RemoteError
 from luxloop.settings import Settings
-from tests.conftest import free_endpoint, start, wait_for
+from tests.conftest import free_endpoint
+from tests.running_set import local_set
 from tests.validation.test_loop import luxloop
 from validation.dataset.folder import read_dataset
 
@@ -53,25 +52,11 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Settings, 
     """A set of processes that is kept, and a folder with a simulated data set."""
     folder = tmp_path_factory.mktemp("curves")
     settings = Settings(router=free_endpoint(), **{name: folder / name for name in ("cache", "runs", "effects")})
-    process = start(settings, "-m", "luxloop", "serve", "local", "--quiet")
     (folder / "plan.toml").write_text(PLAN)
-    try:
-        wait_for(lambda: workers(settings) == 2, "two workers", 60.0)
+    with local_set(settings):
         done = luxloop(settings, folder, *SIMULATE)
         assert done.returncode == 0, done.stderr
         yield settings, folder
-    finally:
-        process.terminate()
-        process.wait(20)
-
-
-def workers(settings: Settings) -> int:
-    """How many answer."""
-    try:
-        with Client(settings, local=False) as client:
-            return len(client.status(1.0).workers)
-    except RemoteError:
-        return 0
 
 
 def document(place: tuple[Settings, Path], *argv: str) -> dict[str, Any]:

@@ -10,10 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from luxloop.client import Client
-from luxloop.errors import RemoteError
 from luxloop.settings import Settings
-from tests.conftest import start, wait_for
+from tests.running_set import local_set
 from tests.validation.diagnose.test_diagnose_loop import told
 
 HOUSE = Path(__file__).parents[2]
@@ -53,22 +51,8 @@ def test_the_wafers_spread_is_named_and_the_error_falls_to_the_noise(settings: S
 @pytest.fixture
 def one_set(settings: Settings) -> Iterator[None]:
     """Processes that stay from command to command: what one has had computed the next need not."""
-    process = start(settings, "-m", "luxloop", "serve", "local", "--quiet")
-    try:
-        wait_for(lambda: is_served(settings), "the set", 60.0)
+    with local_set(settings):
         yield
-    finally:
-        process.terminate()
-        process.wait(30)
-
-
-def is_served(settings: Settings) -> bool:
-    """Whether a worker of each kind answers."""
-    try:
-        with Client(settings, local=False) as client:
-            return len(client.status(5.0).workers) == 2
-    except RemoteError:
-        return False
 
 
 @pytest.mark.slow

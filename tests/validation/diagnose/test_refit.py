@@ -157,6 +157,20 @@ def test_what_is_kept_is_fitted_about_monte_carlo_at_its_own_value(line: Refitte
     assert asked == {(ANCHORED // 2, 8, 1), (ANCHORED // 2, 9, 2)}  # slopes share no random number with the anchor
 
 
+def test_an_effect_with_walks_of_its_own_is_fitted_as_one_that_the_twin_does_not_know(
+    base: Fit, line: Refitted
+) -> None:
+    """The twin's image with it has the noise of another walk: a straight line first, then Monte Carlo about it."""
+    score = score_of(base)
+    walking = RIPPLE.model_copy(update={"twin": True, "walks": True})
+    score = replace(score, candidate=replace(score.candidate, effect=walking))
+    found = freed(base, score, slopes_of(base))
+    assert (found.value, found.chi2) == (line.value, line.chi2)
+    ended, expected = finished(found, Anchors(), None), finished(line, Anchors(), None)
+    assert (ended.value, ended.error) == (expected.value, expected.error)
+    assert ended.value != found.value
+
+
 def test_without_monte_carlo_nothing_is_done_again(line: Refitted) -> None:
     """Where there is no anchor, or one that only lends its exits, the line is all there is."""
     assert line.fit is not None
