@@ -1,13 +1,13 @@
 """Does the measurement that `luxloop next` proposes tell two effects apart, once it is made and added?
 
-    python -m benchmarks.next_measurement [--trials 10] [--truth 0] [--anchor 0] [--seed 1] [--first 0] [--sigma 3]
+    python -m benchmarks.next_measurement [--trials 10] [--truth 0] [--anchor 0] [--seed 1] [--sigma 3] [--noise 1]
 
 A trial hides one effect of a pair in three images of the paper's kind (shifts, turns and noise of the declared
 camera), so strong that its rival leaves `--sigma` of it beside the camera's noise; that of Monte Carlo hides more of
 it. The diagnosis, with the pair to choose from, should not be able to tell them apart; then the shot that it proposes
 first is simulated, added to the data, and all is diagnosed again. It counts where the hidden effect is named. Trials
 whose first verdict is another one are told, and count for nothing. `--truth` and `--anchor`: histories a sample; 0:
-the twin makes the images, and diagnoses them.
+the twin makes the images, and diagnoses them. `--noise`: of the camera, times that of the declared one.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from luxloop.model import Model
 from luxloop.settings import load_settings
 from validation.comparing import Solver
 from validation.dataset.folder import read_dataset
-from validation.dataset.manifest import Sample
+from validation.dataset.manifest import CameraFacts, Sample
 from validation.dataset.simulate import Expected, expected_images, exposed, views_of, write_dataset
 from validation.dataset.simulation_plan import paper_plan
 from validation.diagnose.diagnosis import Diagnosis
@@ -72,10 +72,19 @@ class Bench:
     anchor: int
     sigma: float
     """Of the hidden effect, beside its rival: below the 5 from which they are told apart."""
+    noise: float
+    """Of the camera, times that of the declared one: a sensor of so much smaller wells."""
+
+    @cached_property
+    def camera(self) -> CameraFacts:
+        """Of as many electrons fewer as more noise asks for, the images as bright."""
+        declared, times = paper_plan().camera, self.noise**2
+        wells = {"full_well_e": declared.full_well_e / times, "gain_dn_per_e": declared.gain_dn_per_e * times}
+        return declared.model_copy(update=wells)
 
     def images(self, model: Model, samples: Sequence[Sample], seed: int) -> list[Expected]:
         """What the camera sees of samples, before its noise."""
-        plan = paper_plan().model_copy(update={"samples": tuple(samples)})
+        plan = paper_plan().model_copy(update={"samples": tuple(samples), "camera": self.camera})
         views = views_of(plan, seed, shift_px=SHIFT_PX, rotation_deg=ROTATION_DEG)
         if self.truth:
             return exposed(self.client, model, views, plan.camera, histories=self.truth, seed=seed + 1000)
@@ -84,7 +93,8 @@ class Bench:
 
     def observed(self, expected: Sequence[Expected], seed: int) -> Observed:
         """The data with their noise."""
-        plan = paper_plan().model_copy(update={"samples": tuple(one.view.sample for one in expected)})
+        samples = tuple(one.view.sample for one in expected)
+        plan = paper_plan().model_copy(update={"samples": samples, "camera": self.camera})
         with tempfile.TemporaryDirectory() as folder:
             write_dataset(Path(folder), plan, expected, seed=seed)
             return Observed.of(read_dataset(Path(folder)))
@@ -165,10 +175,11 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--first", type=int, default=0, help="number of the first trial: to run them in parts")
     parser.add_argument("--sigma", type=float, default=3.0, help="that its rival leaves of a hidden effect")
+    parser.add_argument("--noise", type=float, default=1.0, help="of the camera, times that of the declared one")
     asked = parser.parse_args()
     numbers = range(asked.first, asked.first + asked.trials)
     with Client(load_settings(), patience_s=300.0) as client:
-        bench = Bench(client, Known.ask(client), asked.truth, asked.anchor, asked.sigma)
+        bench = Bench(client, Known.ask(client), asked.truth, asked.anchor, asked.sigma, asked.noise)
         results = [trial(bench, CASES[number % len(CASES)], asked.seed + number) for number in numbers]
     counted = [one for one in results if one is not None]
     low, high = clopper_pearson(sum(counted), len(counted)) if counted else (0.0, 1.0)

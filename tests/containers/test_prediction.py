@@ -66,6 +66,24 @@ def test_an_anchor_without_monte_carlo_lends_its_exits_alone(dim: tuple[Scene, E
     assert len(walks) == 1
 
 
+def test_the_error_at_the_anchor_is_carried_as_a_share_of_the_light(dim: tuple[Scene, Exits]) -> None:
+    """Of chips that absorb more both images are dimmer, and so is what Monte Carlo and the twin differ by."""
+    case, exits = dim
+    supply, options = Supply(lambda _: exits), {"blocks": 1, "shadow_rays": 1024}
+    of = shots(case)
+    fields = [ModuleTwin(shot.scene, exits, groups=8, seed=7).field() for shot in of]
+    anchor = Anchor(of, fields, supply, **options)
+    here = anchor.predict(of, supply)
+    column = COLUMNS["absorption_per_um"]
+    there = anchor.predict([replace(shot, scene=column.move(shot.scene, 2e-3)) for shot in of], supply)
+    light = [one.twin_per_mm2.sum(axis=(1, 2)) for one in (here, there)]
+    share = (light[1] / light[0])[:, None, None]
+    assert np.all(share < 0.98)
+    errors = [one.images_per_mm2 - one.twin_per_mm2 for one in (here, there)]
+    np.testing.assert_allclose(errors[1], share * errors[0], atol=1e-12 * here.images_per_mm2.max())
+    np.testing.assert_allclose(there.noise_per_mm2, share * here.noise_per_mm2)
+
+
 def test_a_chip_with_another_emission_has_one_walk_at_any_absorption(dim: tuple[Scene, Exits]) -> None:
     """Its exits are those of the anchor's chip with that emission, reweighted: they do not jump as it absorbs."""
     case, _ = dim

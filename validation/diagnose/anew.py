@@ -20,6 +20,10 @@ Real = NDArray[np.float64]
 OTHER_LIGHT = 0.1
 """Share by which the light of an image may differ from that at the anchor, before Monte Carlo is asked for anew."""
 
+STRAYED = 5.0
+"""Errors by which a parameter may be from where the anchor has it, before Monte Carlo is asked for anew: exits that
+are reweighted so far err by about 1 of chi2, from ten times as far by 70 (decision 41)."""
+
 STEPS = 12
 """Of a fit with frozen derivatives: what explains little never converges."""
 
@@ -27,8 +31,8 @@ STEPS = 12
 def has_other_light(problem: Problem, values: Real) -> bool:
     """Whether an image has another light at these values than at the anchor; never where there is no Monte Carlo.
 
-    What the twin errs by, and the noise of Monte Carlo, is carried over as it is from the anchor, but it goes with
-    the light: of a chip that absorbs nothing it is several times too large for one that absorbs 200 /cm.
+    What the twin errs by, and the noise of Monte Carlo, is carried over from the anchor as a share of the light, and
+    this share is nearly the same only where the light is.
     """
     anchor, known = problem.anchor, problem.unknowns.named(values)
     if anchor is None or not has_monte_carlo(problem):
@@ -43,6 +47,16 @@ def has_other_light(problem: Problem, values: Real) -> bool:
         for one, other in zip(here, there, strict=True)
     ]
     return max(map(abs, changes), default=0.0) > OTHER_LIGHT
+
+
+def has_strayed(found: Fit) -> bool:
+    """Whether a parameter is far from where the anchor has it; never where there is no Monte Carlo."""
+    anchor = found.problem.anchor
+    if anchor is None or not has_monte_carlo(found.problem):
+        return False
+    there = anchor.model.leaves()
+    known = [path for path in found.problem.unknowns.model_paths if path in there]
+    return any(abs(found.value(path) - float(there[path])) > STRAYED * found.error(path) > 0.0 for path in known)
 
 
 def is_scale(name: str) -> bool:

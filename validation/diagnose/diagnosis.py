@@ -10,7 +10,7 @@ Nothing here asks a worker: columns come from `Means.signatures`, refits from th
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,7 @@ from validation.diagnose.evidence import group_log_evidence, log_evidence
 from validation.diagnose.frozen import slopes_of
 from validation.diagnose.ground import Ground
 from validation.diagnose.in_words import left_in_words, limits_in_words
-from validation.diagnose.refit import Refitted, finished, is_stuck, limits_of, refit, unstuck
+from validation.diagnose.refit import Refitted, beside, finished, is_stuck, limits_of, refit, unstuck
 from validation.diagnose.score import Candidate, EffectScore, Projected, Scores, scores
 from validation.diagnose.verdict import (
     LEVEL,
@@ -38,6 +38,7 @@ from validation.fit import NOT_CONVERGED, Fit
 from validation.fit.whitening import held_scale
 
 Real = NDArray[np.float64]
+Progress = Callable[[float, str], None]
 
 SHORT_LIST = 8
 WORTH = 0.3
@@ -57,7 +58,7 @@ class Means:
     """The structure of a further fit, with a null of its own."""
     next_image: Callable[[Fit, Sequence[Refitted]], str]
     """In words, the measurement that would tell rivals apart, the best of them first."""
-    progress: Callable[[float, str], None] = lambda *_: None
+    progress: Progress = lambda *_: None
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,39 +145,72 @@ def _step(ground: Ground, effects: Sequence[EffectSpec], means: Means, seed: int
     if not is_visible(ground.structure.p, scored.p, level):
         verdict = not_trustworthy(fit.distrust) if fit.distrust else nothing_visible(limits_in_words(scored, level))
         return Step(ground, scored, alike, (), (), verdict)
-    short, refits, explanations, slopes = short_list(scored, alike), [], [], slopes_of(fit)
-    for number, one in enumerate(short):
-        means.progress(0.2 + 0.7 * number / len(short), f"adding {one.name}")
-        refits.append(refit(fit, one.best, slopes))
-        explanations.append(_explanation(ground, one, refits[-1], best, [other.name for other in short]))
-    most = max((one.drop for one in explanations), default=0.0)
-    for number, one in enumerate(short):
-        if is_stuck(refits[number], fit) and explanations[number].drop > WORTH * most:
-            means.progress(0.85, f"fitting {one.name}, from where the model began")
-            refits[number] = unstuck(refits[number], fit)
-            explanations[number] = _explanation(ground, one, refits[number], best, [other.name for other in short])
-    ended: set[int] = set()
-    while (likely := _likeliest(explanations)) is not None and likely not in ended:
-        means.progress(0.9, f"fitting {short[likely].name}")  # what is named is fitted to its end
-        ended.add(likely)
-        refits[likely] = finished(refits[likely], fit.problem.predictor, fit.problem.predict_curves)
-        short[likely] = as_fitted(projected, short[likely], refits[likely])
-        best[short[likely].name] = projected.own(short[likely].best.candidate)
-        rivals = [other.name for other in short]
-        explanations[likely] = _explanation(ground, short[likely], refits[likely], best, rivals)
+    tried = _Tried(ground, projected, best, short_list(scored, alike))
+    tried.refit(means.progress)
+    tried.finish(means.progress)
 
     def next_image(names: Sequence[str]) -> str:
-        by_name = {one.candidate.effect.name: one for one in refits}
+        by_name = {one.candidate.effect.name: one for one in tried.refits}
         return means.next_image(fit, [by_name[name] for name in names])
 
-    verdict = decided(explanations, len(effects), lambda: left_in_words(ground), next_image, level)
-    return Step(ground, scored, alike, tuple(refits), tuple(explanations), verdict)
+    verdict = decided(tried.explanations, len(effects), lambda: left_in_words(ground), next_image, level)
+    return Step(ground, scored, alike, tuple(tried.refits), tuple(tried.explanations), verdict)
 
 
-def _likeliest(explanations: Sequence[Explanation]) -> int | None:
-    """The number of the one that a verdict would name."""
-    usable = [number for number, one in enumerate(explanations) if one.plausible]
-    return max(usable, key=lambda number: explanations[number].drop, default=None)
+@dataclass(eq=False)
+class _Tried:
+    """The short list of a round, fitted further and further."""
+
+    ground: Ground
+    projected: Projected
+    columns: dict[str, Real]
+    """Of each effect, those of its best shape."""
+    short: list[EffectScore]
+    refits: list[Refitted] = field(default_factory=list)
+    explanations: list[Explanation] = field(default_factory=list)
+
+    def refit(self, progress: Progress) -> None:
+        """Each effect added to the fit; what is stuck there, and worth it, from where the model began."""
+        fit = self.ground.fit
+        slopes = slopes_of(fit)
+        for number, one in enumerate(self.short):
+            progress(0.2 + 0.7 * number / len(self.short), f"adding {one.name}")
+            self.refits.append(refit(fit, one.best, slopes))
+            self.explanations.append(self._explained(number))
+        most = max((one.drop for one in self.explanations), default=0.0)
+        for number, one in enumerate(self.short):
+            if is_stuck(self.refits[number], fit) and self.explanations[number].drop > WORTH * most:
+                progress(0.85, f"fitting {one.name}, from where the model began")
+                self._keep(number, unstuck(self.refits[number], fit))
+
+    def finish(self, progress: Progress) -> None:
+        """What would be named is fitted to its end, its rivals about the Monte Carlo that it ends with."""
+        fit, ended = self.ground.fit, set[int]()
+        while (likely := self._likeliest()) is not None and likely not in ended:
+            progress(0.9, f"fitting {self.short[likely].name}")
+            ended.add(likely)
+            found = finished(self.refits[likely], fit.problem.predictor, fit.problem.predict_curves)
+            self.short[likely] = as_fitted(self.projected, self.short[likely], found)
+            self.columns[self.short[likely].name] = self.projected.own(self.short[likely].best.candidate)
+            self._keep(likely, found)
+            least = WORTH * self.explanations[likely].drop
+            for number in sorted(set(range(len(self.short))) - ended):
+                if self.explanations[number].plausible and self.explanations[number].drop > least:
+                    progress(0.9, f"fitting {self.short[number].name} beside {self.short[likely].name}")
+                    self._keep(number, beside(self.refits[number], found, fit))
+
+    def _keep(self, number: int, found: Refitted) -> None:
+        self.refits[number] = found
+        self.explanations[number] = self._explained(number)
+
+    def _explained(self, number: int) -> Explanation:
+        rivals = [other.name for other in self.short]
+        return _explanation(self.ground, self.short[number], self.refits[number], self.columns, rivals)
+
+    def _likeliest(self) -> int | None:
+        """The number of the one that a verdict would name."""
+        usable = [number for number, one in enumerate(self.explanations) if one.plausible]
+        return max(usable, key=lambda number: self.explanations[number].drop, default=None)
 
 
 def beyond_limits(fit: Fit) -> list[str]:

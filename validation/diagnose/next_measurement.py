@@ -2,13 +2,15 @@
 
 Candidates are samples like those that were measured, at another distance, with other pairs, single or as an array,
 at four times the exposure, and a repeat. Of each the columns are predicted by the twin, its noise by the camera that
-took the others; `separation` says how many sigma would then lie between the rivals.
+took the others and by the Monte Carlo that they are compared with; `separation` says how many sigma would then lie
+between the rivals.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -23,9 +25,10 @@ from validation.diagnose.separation import Rows, sigma_left
 from validation.effects.known import applied, nearly_off, off_values, with_effect
 from validation.effects.signatures import HISTORIES, RUNS, Sight
 from validation.fit import Fit
+from validation.fit.model_noise import NoiseBlock
 from validation.fit.problem import sensor_of, view_of
 from validation.measured import MeasuredImage
-from validation.prediction import POSE_COLUMNS, Anchored, Pose, Predictor, Sensor
+from validation.prediction import POSE_COLUMNS, Anchored, Pose, Predicted, Predictor, Sensor
 from validation.prediction.differences import Moved
 from validation.sample_values import LEAD
 
@@ -118,14 +121,39 @@ class Rivals:
         sigma = np.sqrt(like.variance_dn2(signal) / exposure + (like.prnu * signal) ** 2)
         view = replace(view, sensor=Sensor(gain, 0.0, like.camera.full_scale_dn - like.camera.black_level_dn))
         sight = Sight(self.predictor, [view], beyond_twin=self.beyond_twin)
+        block = self._noise(like, found.irradiance_per_mm2, gain / sigma)
+
+        def rows(images: Sequence[Real]) -> Real:
+            white = np.array([(one / sigma).ravel() for one in images]).reshape(len(images), -1)
+            if block is not None and len(images):
+                block.take_out(white)
+            return white
+
         nuisances = [signal, np.ones_like(signal), *(gain * found.jacobian_per_mm2[name] for name in POSE_COLUMNS)]
+        changes = rows([gain * self._change(sight, one)[0] for one in usable])
         return Rows(
-            np.array([(gain * found.jacobian_per_mm2[path] / sigma).ravel() for path in paths]).reshape(
-                len(paths), -1
-            ),
-            np.array([(one / sigma).ravel() for one in nuisances]),
-            {one.candidate.effect.name: (gain * self._change(sight, one)[0] / sigma).ravel() for one in usable},
+            rows([gain * found.jacobian_per_mm2[path] for path in paths]),
+            rows(nuisances),
+            {one.candidate.effect.name: row for one, row in zip(usable, changes, strict=True)},
         )
+
+    @cached_property
+    def _measured(self) -> list[Predicted]:
+        """What the fit predicts of the images that were taken."""
+        return self.fit.problem.evaluate(self.fit.values).predicted
+
+    def _noise(self, like: MeasuredImage, light_per_mm2: Real, weight: Real) -> NoiseBlock | None:
+        """What Monte Carlo leaves in a further image: the same share of the light as in one that was taken.
+
+        `weight` (row, column): whitens by the camera's noise. None where there is no Monte Carlo.
+        """
+        at = next(number for number, one in enumerate(self.fit.problem.images) if one is like)
+        predicted = self._measured[at]
+        if predicted.noise_per_mm2 is None:
+            return None
+        share = light_per_mm2.sum() / predicted.irradiance_per_mm2.sum()
+        columns = (share * weight * predicted.noise_per_mm2).reshape(len(predicted.noise_per_mm2), -1)
+        return NoiseBlock.of(np.arange(light_per_mm2.size), columns)
 
     def _change(self, sight: Sight, one: Refitted) -> tuple[Real, ...]:
         """What an effect of its fitted size does to the images of the model without it."""

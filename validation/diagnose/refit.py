@@ -25,6 +25,7 @@ from validation.diagnose.anew import (
     fitted_anew,
     has_monte_carlo,
     has_other_light,
+    has_strayed,
     is_scale,
     start_of,
     thawed,
@@ -243,8 +244,11 @@ def finished(found: Refitted, predictor: ImagePredictor, curves: CurvePredictor 
     if not is_smooth(spec):
         return _at_its_value(found, fit, predictor)
     problem, values = replace(fit.problem, predictor=predictor, predict_curves=curves), fit.values
-    other = has_other_light(problem, values)
-    anew = fitted_anew(problem, problem.unknowns.named(values)) if other else None
+    anew = None
+    if has_other_light(problem, values):
+        anew = fitted_anew(problem, problem.unknowns.named(values))
+    elif has_strayed(fit):
+        anew = about_its_own(problem, fit)
     if anew is not None:
         problem, values = anew.problem, anew.values
     own, as_well = _best_words(found, problem, anew or _renewed(problem, values))
@@ -259,6 +263,18 @@ def finished(found: Refitted, predictor: ImagePredictor, curves: CurvePredictor 
         if better.converged and not any(path in better.at_limit for path in limits):
             own = better
     return replace(_with(found, thawed(own, problem)), as_well=as_well)
+
+
+def beside(found: Refitted, other: Refitted, base: Fit) -> Refitted:
+    """The same about Monte Carlo at another effect's fit, where that has its own: about one run both have one noise.
+
+    Of two runs chi2 differs by some 20. An effect that the twin cannot represent stays where its line begins.
+    """
+    fit, theirs = found.fit, None if other.fit is None else other.fit.problem.anchor
+    smooth = is_smooth(found.candidate.effect) and is_smooth(other.candidate.effect)
+    if fit is None or theirs is None or not smooth or theirs == base.problem.anchor:
+        return found
+    return _with(found, refitted(replace(fit.problem, anchor=theirs), fit.values, STEPS))
 
 
 def is_stuck(found: Refitted, base: Fit) -> bool:

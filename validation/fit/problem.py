@@ -179,7 +179,7 @@ class Evaluation:
     def carried(self, white: Whitening, values: Real) -> Real:
         """Whitened rows of what an anchor leaves unknown: by how much the twin's error may differ from that there.
 
-        It is carried over as it is; an error that grows with the light would have changed by the light's own share.
+        It is carried over as a share of the image's light; one that stays as it is differs by the change of that.
         """
         images = [self._carried_dn(index, values) for index in range(len(self.predicted))]
         rows = sum(len(curve.value) for curve in self.problem.curves)

@@ -52,7 +52,7 @@ DIFFERENCE_SHARE = 0.1
 DIFFERENCE = 77
 """What a seed is drawn for, so that no other run shares its random numbers."""
 DIFFERENCE_EXITS = 262_144
-"""Of moved models: each has a walk of its own, and more noise."""
+"""Of moved models, some of which have a walk of their own, and more noise."""
 
 
 class _Move(NamedTuple):
@@ -61,6 +61,10 @@ class _Move(NamedTuple):
     path: str
     weight: float
     model: Model
+    about: Model
+    """From which it was moved: its chips' exits stand for those of the moved one where they can."""
+    traced: bool
+    """By Monte Carlo, for the twin cannot represent what is moved."""
     view: int
 
 
@@ -222,12 +226,19 @@ def _column_request(wanted: Wanted, views: Sequence[View], group: Sequence[int])
 
 
 def _difference_request(wanted: Wanted, views: Sequence[View], moves: Sequence[_Move]) -> PredictionRequest:
-    """The images of moved models; by Monte Carlo with the same random numbers where the twin does not know them."""
-    shots = tuple(_shot(move.model, _about(views[move.view]), wanted.film_of) for move in moves)
-    anchor = None
-    if any(effect.name in wanted.beyond_twin for effect in wanted.model.effects):
-        traced = any(path.split(".")[1] in wanted.beyond_twin for path in {move.path for move in moves})
-        anchor = AnchorRequest(histories=DIFFERENCE_HISTORIES if traced else 0, seed=_difference_seed(wanted))
+    """The images of models moved along one path, all with the same random numbers.
+
+    With the exits of the chips that were moved: two chips that are walked each by itself differ by two walks' noise.
+    """
+
+    def shot(model: Model, move: _Move) -> ShotRequest:
+        return _shot(model, _about(views[move.view]), wanted.film_of)
+
+    if any(move.traced for move in moves):
+        anchor = AnchorRequest(histories=DIFFERENCE_HISTORIES, seed=_difference_seed(wanted))
+    else:
+        anchor = AnchorRequest(shots=tuple(shot(move.about, move) for move in moves), histories=0)
+    shots = tuple(shot(move.model, move) for move in moves)
     return PredictionRequest(shots=shots, exit_histories=DIFFERENCE_EXITS, exit_seed=wanted.exit_seed, anchor=anchor)
 
 
@@ -273,7 +284,7 @@ def _moves(wanted: Wanted, views: Sequence[View]) -> Iterator[_Move]:
         at = wanted.model if wanted.anchor is None or of_effect else wanted.anchor.model
         traced = of_effect and path.split(".")[1] in wanted.beyond_twin
         for weight, model in moved_models(at, path, DIFFERENCE_SHARE) if traced else moved_models(at, path):
-            yield from (_Move(path, weight, model, number) for number in range(len(views)))
+            yield from (_Move(path, weight, model, at, traced, number) for number in range(len(views)))
 
 
 def _by_path(moves: Sequence[_Move]) -> list[list[int]]:
@@ -285,7 +296,7 @@ def _by_path(moves: Sequence[_Move]) -> list[list[int]]:
 
 
 def _groups_of(some: Sequence[int], moves: Sequence[_Move], views: Sequence[View]) -> Iterator[list[int]]:
-    for group in _groups([views[moves[n].view] for n in some], 1):
+    for group in _groups([views[moves[n].view] for n in some], 1 + ANCHOR_FUNCTIONS):
         yield [some[k] for k in group]
 
 

@@ -1,10 +1,11 @@
 """What cameras would see at parameters near an anchor, and how that changes with each parameter.
 
-    prediction(theta) = Monte Carlo at the anchor + twin(theta) - twin(anchor)
+    prediction(theta) = twin(theta) + s (Monte Carlo at the anchor - twin(anchor)), s = light at theta / there
 
-The twin's own error is nearly the same at both and cancels; what is left of the noise is that of one Monte Carlo run,
-the same at all parameters, and its covariance is known. All images here are irradiance in 1/mm^2 per flux of a chip,
-before gain and what the sensor does (`camera.response`): up to there a camera is linear.
+The twin's own error is nearly the same share of the light at both and cancels; what is left of the noise is that of
+one Monte Carlo run, the same share at all parameters, and its covariance is known. With s = 1 a gain that is fitted
+makes too much or too little of both wherever the light of an image has changed. All images here are irradiance in
+1/mm^2 per flux of a chip, before gain and what the sensor does (`camera.response`): up to there a camera is linear.
 """
 
 from __future__ import annotations
@@ -175,6 +176,7 @@ class Anchor:
         self.shots, self._options = tuple(shots), options
         size = refuse_several_sizes(shots)
         self._correction, self._noise = np.zeros((len(shots), *size)), np.zeros((0, len(shots), *size))
+        self._light = np.zeros(len(shots))
         if fields is None:
             return
         if len(shots) != len(fields) or len({field.groups for field in fields}) != 1:
@@ -189,7 +191,7 @@ class Anchor:
         self._noise = np.zeros((max(map(len, columns)), *self._correction.shape))
         for number, one in enumerate(columns):
             self._noise[: len(one), number] = one
-        self._correction = mean - twin
+        self._correction, self._light = mean - twin, twin.sum(axis=(1, 2))
 
     def predict(
         self,
@@ -201,7 +203,12 @@ class Anchor:
     ) -> Prediction:
         """The images of the same shots at other parameters, by the exits of the anchor's chips where they can be."""
         images, of_camera = twin_views(self.near(shots), supply, cameras, report=report, **self._options)
-        return Prediction(images + self._correction, self._noise, of_camera, images)
+        share = self._share_of(images.sum(axis=(1, 2)))[:, None, None]
+        return Prediction(images + share * self._correction, share * self._noise, of_camera, images)
+
+    def _share_of(self, light: Real) -> Real:
+        """(shot,): the light of images in that of the anchor's, 1 where it had none."""
+        return np.divide(light, self._light, out=np.ones_like(light), where=self._light > 0.0)
 
     def near(self, shots: Sequence[Shot]) -> list[Shot]:
         """The shots with the exits of the anchor's chips, where these can stand for theirs."""

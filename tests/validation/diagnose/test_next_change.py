@@ -8,11 +8,18 @@ from typing import Any
 import numpy as np
 import pytest
 
+from luxloop.effect import AppliedEffect
 from luxloop.model import Model
+from tests.validation.analytic import ARRAY, MODEL, PATHS, blank
+from tests.validation.analytic import SINGLE as SINGLE_CHIP
+from tests.validation.diagnose.made_up import THIRD, Affected, data, spec
 from tests.validation.effects.test_signatures import AMPLITUDE, BASE, ONE, SIDE, SINGLE, Pretended, sight_of, spec_of
+from validation.dataset.manifest import Sample
 from validation.diagnose.next_measurement import Rivals
 from validation.diagnose.refit import Refitted
 from validation.diagnose.score import Candidate
+from validation.fit import fit
+from validation.prediction import Anchored, View
 
 
 @pytest.mark.parametrize("walks", [False, True])
@@ -31,3 +38,37 @@ def test_the_noise_of_another_walk_is_no_change_that_an_effect_makes(walks: bool
     one: Refitted = found
     (change,) = rivals._change(sight_of(predictor, SINGLE), one)
     np.testing.assert_allclose(change, 0.4 * ONE, rtol=1e-5)
+
+
+def test_what_is_expected_of_an_image_counts_the_noise_of_monte_carlo() -> None:
+    """A repeat of an image brings what that one brought, and noise along the rivals' difference hides it in both."""
+    expected = {}
+    for loud in (0.0, 1.0):
+        noise = {one.id: loud * patterns(one) for one in (SINGLE_CHIP, ARRAY, THIRD)}
+        predictor = Affected(noise)
+        base = fit(MODEL, data("ripple", 1, 0.05), predictor, free=PATHS, anchor_at=lambda at: Anchored(at, 1000))
+        refits = [
+            Refitted(Candidate(one, one.parameters[0], (), np.zeros((1, 1))), 0.05, 0.01, base.residual, 0.0, False,
+                     MODEL, base)
+            for one in (spec("ripple"), spec("ripple_like"))
+        ]  # fmt: skip
+        rivals = Rivals(base, refits, predictor, frozenset())  # type: ignore[arg-type]  # it predicts as a predictor does
+        expected[loud] = {one.words: (one.expected_sigma, one.now_sigma) for one in rivals.proposals()}
+    assert expected[0.0].keys() == expected[1.0].keys()
+    for words, (then, now) in expected[0.0].items():
+        hidden, hidden_now = expected[1.0][words]
+        assert hidden < 0.5 * then
+        assert hidden_now < 0.5 * now
+
+
+def patterns(sample: Sample) -> Any:
+    """(function, row, column): noise along the difference of the two ripples, ten times the camera's."""
+    image = blank("any", sample, side=40)
+    view = View(sample, 40, 40, image.pixel_um, image.centre_px)
+    light = [Affected().images(effects(name), [view])[0].irradiance_per_mm2 for name in ("ripple", "ripple_like")]
+    return (light[0] - light[1])[None]
+
+
+def effects(name: str) -> Model:
+    """The spots with one of the ripples."""
+    return MODEL.model_copy(update={"effects": (AppliedEffect(name=name, parameters={"size": 0.05}),)})

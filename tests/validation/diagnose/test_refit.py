@@ -18,10 +18,11 @@ from luxloop.model import Model
 from tests.validation.analytic import ARRAY, HALO, MODEL, PATHS, SIGMA, SINGLE, Spots, blank
 from tests.validation.diagnose.made_up import GAIN, THIRD, Affected, seen, spec
 from validation.dataset.manifest import Sample
-from validation.diagnose.anew import fitted_anew, has_other_light
+from validation.diagnose.anew import fitted_anew, has_other_light, has_strayed
 from validation.diagnose.frozen import FrozenImages, frozen_at, slopes_of, without
 from validation.diagnose.refit import (
     Refitted,
+    beside,
     finished,
     freed,
     is_stuck,
@@ -41,6 +42,7 @@ Real = NDArray[np.float64]
 RIPPLE = spec("ripple").model_copy(update={"twin": False})
 TRUTH = 0.05
 ANCHORED = 1_000_000
+HIDDEN = MODEL.model_copy(update={"effects": (AppliedEffect(name="ripple", parameters={"size": TRUTH}),)})
 H = 1e-4
 """By which the made-up effect is moved for its column at off."""
 
@@ -113,6 +115,12 @@ def score_of(base: Fit) -> Score:
     z, length = float(left @ base.residual / np.linalg.norm(left)), float(np.linalg.norm(left))
     candidate = Candidate(RIPPLE, RIPPLE.parameters[0], (), column[None], tuple(parts))
     return Score(candidate, z, z / length, 1.0 / length, length / float(np.linalg.norm(column)))
+
+
+def smooth_score_of(base: Fit) -> Score:
+    """The same of a ripple that the twin knows."""
+    score = score_of(base)
+    return replace(score, candidate=replace(score.candidate, effect=spec("ripple")))
 
 
 @pytest.fixture(scope="module")
@@ -302,6 +310,42 @@ def test_monte_carlo_is_asked_for_anew_where_the_light_has_changed(base: Fit) ->
     lent = replace(problem, anchor=replace(anchor, histories=0))
     assert not has_other_light(lent, darker)
     assert fitted_anew(lent, lent.unknowns.named(darker)) is None
+
+
+def test_a_parameter_far_from_where_the_anchor_has_it_has_strayed(base: Fit) -> None:
+    """By more than five of its errors; exits that only are lent have no noise to stray from."""
+    assert not has_strayed(base)
+    far = base.values.copy()
+    far[base.problem.unknowns.names.index(HALO)] += 6.0 * base.error(HALO)
+    moved = replace(base, values=far)
+    assert has_strayed(moved)
+    anchor = base.problem.anchor
+    assert anchor is not None
+    assert not has_strayed(replace(moved, problem=replace(base.problem, anchor=replace(anchor, histories=0))))
+
+
+def test_what_has_strayed_is_fitted_about_its_own_monte_carlo_and_rivals_beside_it() -> None:
+    """The twin's error is that at the anchor: the halo takes far away, and what is named has an anchor there."""
+    images = noisy(lambda view: Affected().images(HIDDEN, [view])[0].irradiance_per_mm2, 6)
+    base = fit(MODEL, images, Affected(), free=PATHS, anchor_at=lambda model: Anchored(model, ANCHORED, seed=7))
+    wide, slopes = base.error(HALO), slopes_of(base)
+    ripple = freed(base, smooth_score_of(base), slopes)
+    assert ripple.fit is not None
+    problem = replace(
+        ripple.fit.problem,
+        anchor=replace(base.problem.anchor, model=base.model.with_value(HALO, base.value(HALO) - 20.0 * wide)),
+    )
+    strayed = replace(ripple, fit=replace(ripple.fit, problem=problem))
+    ended = finished(strayed, Affected(), None)
+    assert ended.fit is not None
+    about = ended.fit.problem.anchor
+    assert about is not None
+    assert about.model.effects
+    moved = beside(ripple, ended, base)
+    assert moved.fit is not None
+    assert moved.fit.problem.anchor == about
+    assert moved.chi2 == pytest.approx(ended.chi2, abs=0.5)
+    assert beside(ripple, ripple, base) is ripple
 
 
 def test_a_refit_at_a_limit_is_made_anew_from_where_the_model_began(base: Fit) -> None:

@@ -87,9 +87,9 @@ def difference(seed: int, step: float, smooth: bool = False) -> Real:
 
 
 def asked_to_move(workers: Workers) -> list[PredictionRequest]:
-    """The requests for images of moved models, each with its own Monte Carlo."""
+    """The requests for images of moved models: those with so many exits."""
     predictions = [one for one in workers.asked if isinstance(one, PredictionRequest)]
-    return [one for one in predictions if one.anchor is not None and not one.anchor.shots]
+    return [one for one in predictions if one.exit_histories == images_module.DIFFERENCE_EXITS]
 
 
 def step_of(asked: PredictionRequest) -> float:
