@@ -9,7 +9,7 @@ Nothing here asks a worker: columns come from `Means.signatures`, refits from th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -24,6 +24,7 @@ from validation.diagnose.in_words import left_in_words, limits_in_words
 from validation.diagnose.refit import Refitted, beside, finished, is_stuck, limits_of, refit, unstuck
 from validation.diagnose.score import Candidate, EffectScore, Projected, Scores, scores
 from validation.diagnose.verdict import (
+    ALIKE,
     LEVEL,
     Explanation,
     Verdict,
@@ -34,6 +35,7 @@ from validation.diagnose.verdict import (
     nothing_visible,
 )
 from validation.effects.confounding import Confounding, confounding, left_beside
+from validation.effects.known import is_smooth
 from validation.fit import NOT_CONVERGED, Fit
 from validation.fit.whitening import held_scale
 
@@ -41,6 +43,8 @@ Real = NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
 SHORT_LIST = 8
+MOST_ENDED = 4
+"""Of the short list, that are fitted to their end."""
 WORTH = 0.3
 """Of the largest drop of chi2: what a refit that is stuck must reach to be made anew."""
 MOST_STEPS = 3
@@ -184,9 +188,9 @@ class _Tried:
                 self._keep(number, unstuck(self.refits[number], fit))
 
     def finish(self, progress: Progress) -> None:
-        """What would be named is fitted to its end, its rivals about the Monte Carlo that it ends with."""
+        """What would be named is fitted to its end, with its near rivals, about the Monte Carlo that it ends with."""
         fit, ended = self.ground.fit, set[int]()
-        while (likely := self._likeliest()) is not None and likely not in ended:
+        while (likely := self._likeliest(ended)) is not None:
             progress(0.9, f"fitting {self.short[likely].name}")
             ended.add(likely)
             found = finished(self.refits[likely], fit.problem.predictor, fit.problem.predict_curves)
@@ -207,10 +211,25 @@ class _Tried:
         rivals = [other.name for other in self.short]
         return _explanation(self.ground, self.short[number], self.refits[number], self.columns, rivals)
 
-    def _likeliest(self) -> int | None:
-        """The number of the one that a verdict would name."""
+    def _likeliest(self, ended: Collection[int]) -> int | None:
+        """The number of the one that a verdict would name; once it has ended, of one that may yet take its place.
+
+        By what its own derivatives still promise, if that is 0.8 of the best's. Those that the twin cannot represent
+        are fitted to their end by minutes of Monte Carlo, and only where they are named.
+        """
         usable = [number for number, one in enumerate(self.explanations) if one.plausible]
-        return max(usable, key=lambda number: self.explanations[number].drop, default=None)
+        best = max(usable, key=lambda number: self.explanations[number].drop, default=None)
+        if best is None or best not in ended:
+            return best
+        least = (1.0 - 2.0 * ALIKE) * self.explanations[best].drop
+        smooth = [number for number in usable if is_smooth(self.refits[number].candidate.effect)]
+        near = [number for number in smooth if number not in ended and self._reach(number) > least]
+        return max(near, key=self._reach, default=None) if len(ended) < MOST_ENDED else None
+
+    def _reach(self, number: int) -> float:
+        """By how much chi2 would fall with an effect, at its fit's own word."""
+        found = self.refits[number].fit
+        return self.explanations[number].drop + (0.0 if found is None else found.gap)
 
 
 def beyond_limits(fit: Fit) -> list[str]:
