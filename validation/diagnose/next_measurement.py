@@ -22,6 +22,7 @@ from validation.dataset.manifest import Sample
 from validation.diagnose.columns import FitSight
 from validation.diagnose.refit import Refitted
 from validation.diagnose.separation import Rows, sigma_left
+from validation.effects.confounding import TOLD_APART
 from validation.effects.known import applied, nearly_off, off_values, with_effect
 from validation.effects.signatures import HISTORIES, RUNS, Sight
 from validation.fit import Fit
@@ -194,10 +195,10 @@ def next_in_words(proposals: Sequence[Proposal], *, images: bool = True) -> str:
     if not proposals:
         return NO_IMAGE if images else f"To separate them, {NO_FILM}."
     best = proposals[0]
-    return (
-        f"Take one image: {best.words}: expected separation {best.expected_sigma:.0f} sigma"
-        f" (now {best.now_sigma:.1f})."
-    )
+    expected = f"expected separation {best.expected_sigma:.0f} sigma (now {best.now_sigma:.1f})"
+    if best.expected_sigma < TOLD_APART:
+        expected += f", less than the {TOLD_APART:.0f} that tell them apart: it takes more than that"
+    return f"Take one image: {best.words}: {expected}."
 
 
 def stanza(sample: Sample) -> str:

@@ -15,7 +15,7 @@ from tests.validation.analytic import SINGLE as SINGLE_CHIP
 from tests.validation.diagnose.made_up import THIRD, Affected, data, spec
 from tests.validation.effects.test_signatures import AMPLITUDE, BASE, ONE, SIDE, SINGLE, Pretended, sight_of, spec_of
 from validation.dataset.manifest import Sample
-from validation.diagnose.next_measurement import Rivals
+from validation.diagnose.next_measurement import Proposal, Rivals, next_in_words
 from validation.diagnose.refit import Refitted
 from validation.diagnose.score import Candidate
 from validation.fit import fit
@@ -59,6 +59,16 @@ def test_what_is_expected_of_an_image_counts_the_noise_of_monte_carlo() -> None:
         hidden, hidden_now = expected[1.0][words]
         assert hidden < 0.5 * then
         assert hidden_now < 0.5 * now
+
+
+def test_a_proposal_that_will_not_do_says_so() -> None:
+    """Told apart are rivals with 5 sigma between them; the best of what can be measured may have less."""
+    words = [next_in_words([Proposal("array, D = 0.10 mm", SINGLE_CHIP, 1.0, sigma, 1.3)]) for sigma in (4.0, 12.0)]
+    assert words == [
+        "Take one image: array, D = 0.10 mm: expected separation 4 sigma (now 1.3), less than the 5 that tell them"
+        " apart: it takes more than that.",
+        "Take one image: array, D = 0.10 mm: expected separation 12 sigma (now 1.3).",
+    ]
 
 
 def patterns(sample: Sample) -> Any:
