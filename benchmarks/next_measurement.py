@@ -6,7 +6,8 @@ A trial hides one effect of a pair in three images of the paper's kind (shifts, 
 camera), so strong that its rival leaves `--sigma` of it beside the camera's noise; that of Monte Carlo hides more of
 it. The diagnosis, with the pair to choose from, should not be able to tell them apart; then the shot that it proposes
 first is simulated, added to the data, and all is diagnosed again. It counts where the hidden effect is named. Trials
-whose first verdict is another one are told, and count for nothing. `--truth` and `--anchor`: histories a sample; 0:
+whose first verdict is another one are told, and count for nothing, as those where the proposal itself says that it
+would not do (less than 5 sigma). `--truth` and `--anchor`: histories a sample; 0:
 the twin makes the images, and diagnoses them. `--noise`: of the camera, times that of the declared one.
 """
 
@@ -35,7 +36,7 @@ from validation.dataset.simulation_plan import paper_plan
 from validation.diagnose.diagnosis import Diagnosis
 from validation.diagnose.next_measurement import Proposal
 from validation.diagnosing import Diagnosing
-from validation.effects.confounding import left_beside
+from validation.effects.confounding import TOLD_APART, left_beside
 from validation.effects.confusing import Ground, image_ground
 from validation.effects.known import Known, acting, applied, off_values, with_effect
 from validation.effects.signatures import projected
@@ -144,6 +145,9 @@ def trial(bench: Bench, case: tuple[str, float, str], seed: int) -> bool | None:
     if first.verdict.word != "cannot_tell_apart" or not engine.proposals:
         return None
     best = engine.proposals[0]
+    if best.expected_sigma < TOLD_APART:
+        print(f"  {first.verdict.sentence}", flush=True)
+        return None
     expected += bench.images(truth, proposed(best), seed + 500)
     second = bench.engine(bench.observed(expected, seed), pair, seed).diagnosed()
     named = second.verdict.word == "one_effect" and second.verdict.set[0] == hidden
@@ -185,7 +189,7 @@ def main() -> None:
     low, high = clopper_pearson(sum(counted), len(counted)) if counted else (0.0, 1.0)
     print(
         f"{sum(counted)} of {len(counted)} named with the proposed image ({100.0 * low:.0f} to {100.0 * high:.0f} %);"
-        f" of {len(results) - len(counted)} more the first verdict was another one"
+        f" of {len(results) - len(counted)} more the first verdict was another one, or no image would do"
     )
 
 
