@@ -72,6 +72,8 @@ def _table(document: Document) -> Iterator[str]:
     yield html.table(heads, [_row(row) for row in document["table"]], caption, words=2, ending=1)
     if document["without_verdict"]:
         yield paragraph(f"{document['without_verdict']} sets have no verdict and do not count; their seals are shut.")
+    if document["not_checked"]:
+        yield paragraph(f"Data of {document['not_checked']} sets are not there, only their records: not checked.")
     if document["too_weak"]:
         rows = [(name, f"{sigma:.1f}") for name, sigma in sorted(document["too_weak"].items())]
         yield paragraph("Not hidden, for they do not show as strongly as was asked at this camera:")

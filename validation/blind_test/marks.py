@@ -16,7 +16,7 @@ from luxloop.errors import InputError
 from validation.blind_test.folders import Index, read_index
 from validation.blind_test.groups import group_of
 from validation.blind_test.judging import read_record, record_path
-from validation.blind_test.seals import Answer, opened
+from validation.blind_test.seals import Answer, has_data, opened
 from validation.effects.confounding import TOLD_APART
 
 NAMING = ("one_effect", "cannot_tell_apart")
@@ -34,6 +34,8 @@ class Marked:
     folder: Path
     answer: Answer
     record: Mapping[str, Any]
+    is_checked: bool = True
+    """Whether its data lie here and are those that were sealed; records that are kept have none."""
 
     @property
     def id(self) -> str:
@@ -173,7 +175,7 @@ class Marked:
             "hidden": [one.model_dump(mode="json", exclude={"rivals"}) for one in self.answer.hidden],
             "sentence": self.record["sentence"], "follows": self.answer.follows,
             "p_structure": self.record["structure"]["p"], "p_scores": self.record["scores_p"],
-            "light": self.answer.light,
+            "light": self.answer.light, "data_checked": self.is_checked,
             "seconds_made": self.answer.seconds, "seconds_diagnosed": self.record["seconds"],
         }  # fmt: skip
 
@@ -193,7 +195,7 @@ def marked(folders: Sequence[Path]) -> list[Marked]:
             raise InputError("FOLDER", str(folder), "sets with verdicts on record", mend)
         for name in names:
             record = read_record(folder, name)
-            one = Marked(folder, opened(folder, name, record), record)
+            one = Marked(folder, opened(folder, name, record), record, has_data(folder, name))
             where = f"{folder}: {name}"
             if record["seal"] in seals:
                 raise InputError("FOLDER", where, "each set once", f"it is {seals[record['seal']]}, too")

@@ -28,6 +28,7 @@ def score(folders: Sequence[Path]) -> dict[str, Any]:
         "folders": [str(folder) for folder in folders],
         "sets": len(sets),
         "without_verdict": sum(len(read_index(folder).sets) for folder in folders) - len(sets),
+        "not_checked": sum(not one.is_checked for one in sets),
         "sentence": sentence(rows, len(first)),
         "table": [row.document() for row in rows],
         "confusion": {

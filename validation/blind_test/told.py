@@ -41,6 +41,8 @@ def scored(document: Document) -> Iterator[str]:
     yield document["sentence"]
     if document["without_verdict"]:
         yield f"{document['without_verdict']} sets have no verdict yet and do not count; their seals are shut."
+    if document["not_checked"]:
+        yield not_checked(document["not_checked"])
     yield ""
     yield from table(("quantity", "target", "hits", "found", "95 %", ""), [_row(row) for row in document["table"]])
     yield ""
@@ -57,6 +59,11 @@ def scored(document: Document) -> Iterator[str]:
                         ("to diagnose another one of its light", "diagnosed_again")):  # fmt: skip
         if spread := document["seconds"][name]:
             yield f"{words}: {spread['median']:.0f} s (median of {spread['sets']}), at most {spread['most']:.0f} s"
+
+
+def not_checked(sets: int) -> str:
+    """Records without their data."""
+    return f"data of {sets} sets are not there, only their records: not checked."
 
 
 def weak(sigma_of: Mapping[str, float]) -> str:

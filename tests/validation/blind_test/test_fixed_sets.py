@@ -59,6 +59,7 @@ def test_the_seals_open_and_the_table_is_the_recorded_one(fixed: Path) -> None:
     """Of all sets with a verdict: hits, counts, intervals, who was taken for whom, what was missed."""
     found, before = json.loads(json.dumps(score([fixed]))), recorded()
     assert found["sets"] == len(NAMES) == before["sets"]
+    assert found["not_checked"] == 0
     assert len(found["table"]) == len(before["table"])
     for row, old in zip(found["table"], before["table"], strict=True):
         for name, value in old.items():
@@ -71,7 +72,7 @@ def test_the_seals_open_and_the_table_is_the_recorded_one(fixed: Path) -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_whatever_is_changed_in_a_set_is_found(fixed: Path, name: str) -> None:
-    """Its answer, its salt, an image, the verdict's data: the error names the set."""
+    """Its answer, its salt, an image that is changed or gone, the manifest: the error names the set."""
     kept = (fixed / ANSWERS / f"{name}.json").read_text()
     change_answer(fixed, name, hidden=[])
     if json.loads(kept)["answer"]["hidden"]:
@@ -94,7 +95,22 @@ def test_whatever_is_changed_in_a_set_is_found(fixed: Path, name: str) -> None:
     data[-1] ^= 1
     image.write_bytes(bytes(data))
     with pytest.raises(InputError, match=r"bare\.tif"):
-        read_dataset(fixed / SETS / name)
+        score([fixed])
+    image.unlink()
+    with pytest.raises(InputError, match="the data were changed") as error:
+        score([fixed])
+    assert error.value.field == f"{name}: data"
+    data[-1] ^= 1
+    image.write_bytes(bytes(data))
+    with (fixed / SETS / name / "dataset.toml").open("a") as manifest:
+        manifest.write("# more\n")
+    with pytest.raises(InputError, match="the data were changed"):
+        score([fixed])
+
+
+def test_a_verdict_on_other_data_is_found(fixed: Path) -> None:
+    """Its record names data that are not those of the answer."""
+    name = NAMES[0]
     change(fixed / VERDICTS / f"{name}.json", dataset_sha256="0" * 64)
     with pytest.raises(InputError, match="the verdict is on other data"):
         score([fixed])

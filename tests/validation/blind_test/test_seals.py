@@ -11,6 +11,7 @@ import pytest
 from luxloop.errors import InputError
 from luxloop.words import canonical
 from tests.validation.blind_test.pretend import answer, change, change_answer, folder_of, hiding, record
+from validation.blind_test import told
 from validation.blind_test.folders import ANSWERS, INDEX, SEAL, SETS, VERDICTS, read_index
 from validation.blind_test.marks import marked
 from validation.blind_test.scoring import score
@@ -43,6 +44,13 @@ def test_a_seal_that_was_not_touched_opens(folder: Path) -> None:
     (one,) = marked([folder])
     assert one.answer == SET
     assert one.is_exact
+
+
+def test_records_without_data_are_said_not_to_be_checked(folder: Path) -> None:
+    """Nothing but the record lies there: it counts, and the score says what was not looked at."""
+    found = score([folder])
+    assert found["not_checked"] == 1
+    assert "data of 1 sets are not there, only their records: not checked." in list(told.scored(found))
 
 
 def test_a_changed_answer_is_found(folder: Path) -> None:
