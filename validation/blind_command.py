@@ -67,8 +67,13 @@ def make(
     )  # fmt: skip
     begun = making.begin(asked)
     with workers(load_settings(router=router), no_local) as (predictor, known), bar(as_json or quiet) as heard:
-        making.make(begun, predictor, known, heard)
-    document = {"folder": str(folder), "sets": len(begun.plan), "too_weak": making.weak_kinds(folder)}
+        index = making.make(begun, predictor, known, heard)
+    document = {
+        "folder": str(folder),
+        "sets": len(index.sets),
+        "root": index.root,
+        "too_weak": making.weak_kinds(folder),
+    }
     typer.echo(json.dumps(document) if as_json else "\n".join(told.made(document)))
 
 

@@ -202,7 +202,8 @@ def _set_rows(marks: Sequence[Document]) -> list[tuple[str, ...]]:
 
 
 def _provenance(document: Document) -> Iterator[str]:
-    rows = [("folders", ", ".join(document["folders"])), ("luxloop", document["versions"]["luxloop"]),
+    rows = [*((f"root of {folder}", root or "none: a set taken away would not be found")
+              for folder, root in document["roots"].items()), ("luxloop", document["versions"]["luxloop"]),
             ("predictions", ", ".join(document["solvers"])),
             ("effects to choose from", ", ".join(str(count) for count in document["among"]))]  # fmt: skip
     for name, words in (("made", "to make a set"), ("diagnosed", "to diagnose one")):

@@ -17,8 +17,9 @@ from luxloop.errors import InputError
 from luxloop.model_file import find_model
 from luxloop.words import parse
 from validation import blind
+from validation.blind_test.bound import close
 from validation.blind_test.folders import INDEX, SETS, Entry, Index, read_index, write_whole
-from validation.blind_test.judging import read_record, record_path
+from validation.blind_test.records import read_record, record_path
 from validation.blind_test.scenes import Lights, mean_of
 from validation.blind_test.seals import Answer, opened, seal
 from validation.blind_test.truths import Truth, camera_of, sample_of, truth_of
@@ -41,8 +42,10 @@ def measure(folder: Path, out: Path, heard: Callable[[int, int, str], None] = la
     if not asking:
         mend = "only verdicts that cannot tell effects apart propose one (luxloop blind diagnose comes first)"
         raise InputError("FOLDER", str(folder), "verdicts that propose an image", mend)
-    index = read_index(folder).model_copy(update={"sets": tuple(asking)})
-    if (out / INDEX).exists() and read_index(out) != index:
+    index = read_index(folder).model_copy(update={"sets": tuple(asking), "seals": {}, "root": None})
+    there = read_index(out) if (out / INDEX).exists() else index
+    index = index.model_copy(update={"seals": there.seals, "root": there.root})
+    if there != index:
         raise InputError("OUT", str(out), "an empty folder, or one that the same command began", "name another one")
     write_whole(out / INDEX, index.text())
     for number, one in enumerate(asking):
@@ -50,7 +53,7 @@ def measure(folder: Path, out: Path, heard: Callable[[int, int, str], None] = la
         if not (out / SETS / one.id).is_dir():
             _measure_one(folder, out, one, index)
     heard(len(asking), len(asking), "done")
-    return index
+    return close(out, index)
 
 
 def _proposal(folder: Path, name: str) -> dict[str, Any] | None:

@@ -19,7 +19,9 @@ from numpy.typing import NDArray
 from luxloop import __version__
 from luxloop.effect import EffectSpec
 from luxloop.model import Model
-from validation.blind_test.folders import SCHEMA, SETS, VERDICTS, Entry, Index, read_json, write_whole
+from validation.blind_test.bound import Chain, chain_of, refuse_opened
+from validation.blind_test.folders import SCHEMA, SETS, Entry, Index, write_whole
+from validation.blind_test.records import maps_path, record_path
 from validation.blind_test.seals import seal_on
 from validation.comparing import Solver
 from validation.contrasts.structure import fit_layout, fit_projection, judged
@@ -118,8 +120,11 @@ class Judge:
     ) -> Iterator[dict[str, Any]]:
         """One for each set that has none yet, on record before it is yielded; sets of one light after each other.
 
-        `heard` is told how many of how many have one, and which is looked at.
+        `heard` is told how many of how many have one, and which is looked at. Raises InputError where verdicts were
+        changed or taken away, and for a set whose seal was opened.
         """
+        refuse_opened(self.folder, index)
+        chain = chain_of(self.folder, index)
         order = sorted(index.sets, key=lambda one: (one.light, one.id))
         shared = Shared()
         for number, one in enumerate(order):
@@ -127,10 +132,13 @@ class Judge:
                 shared = Shared(one.light)
             heard(number, len(order), one.id)
             if not record_path(self.folder, one.id).exists():
-                yield self._verdict(one, shared)
+                record = self._verdict(one, shared, chain)
+                chain = Chain(record["number"], record["sha256"])
+                chain.write(self.folder)
+                yield record
         heard(len(order), len(order), "done")
 
-    def _verdict(self, one: Entry, shared: Shared) -> dict[str, Any]:
+    def _verdict(self, one: Entry, shared: Shared, chain: Chain) -> dict[str, Any]:
         sealed = seal_on(self.folder, one.id)  # of what is judged: a seal that comes later is no seal
         start = time.monotonic()
         dataset = read_dataset(self.folder / SETS / one.id)
@@ -152,24 +160,9 @@ class Judge:
             write_whole(maps_path(self.folder, one.id), packed(residuals_of(found)))
         else:  # the same as those of the first, and a thousand times
             record |= {"confounding": {"names": [], "cosines": []}, "scores": record["scores"][:1]}
-        write_whole(record_path(self.folder, one.id), record)
-        return record
-
-
-def record_path(folder: Path, name: str) -> Path:
-    """Where the verdict on a set lies."""
-    return folder / VERDICTS / f"{name}.json"
-
-
-def maps_path(folder: Path, name: str) -> Path:
-    """Where the residuals of a set lie."""
-    return folder / VERDICTS / f"{name}.npz"
-
-
-def read_record(folder: Path, name: str) -> dict[str, Any]:
-    """The verdict on a set. Raises InputError where there is none."""
-    path = record_path(folder, name)
-    return read_json(path, f"{name}: verdict", "a verdict on record", f"luxloop blind diagnose {folder}")
+        placed = chain.added(record)
+        write_whole(record_path(self.folder, one.id), placed)
+        return placed
 
 
 def residuals_of(found: Diagnosis) -> dict[str, NDArray[np.float16]]:

@@ -21,7 +21,19 @@ from luxloop.errors import InputError
 from luxloop.model import Model
 from luxloop.words import sha256_of
 from validation import blind
-from validation.blind_test.folders import ANSWERS, INDEX, SETS, Entry, Index, read_index, read_json, write_whole
+from validation.blind_test.bound import close
+from validation.blind_test.folders import (
+    ANSWERS,
+    ASKED,
+    INDEX,
+    SETS,
+    WEAK,
+    Entry,
+    Index,
+    read_index,
+    read_json,
+    write_whole,
+)
 from validation.blind_test.scenes import Light, Scene, mean_of, write_images
 from validation.blind_test.seals import Answer, Hiding, seal
 from validation.blind_test.strength import LEAST_SIGMA, Halves, NotReached, sigma_beside, sigma_of
@@ -36,8 +48,6 @@ HISTORIES = 8_000_000
 """Of walks inside a chip, for each sample, in two halves: of six images the noise of a half was 0.4 of the camera's
 in the worst block, so that of both is below 0.3 (`python -m benchmarks.blind_light`)."""
 MOST_SEED = 10**15
-WEAK, ASKED = "too-weak.json", "asked.json"
-"""Beside the answers: kinds that do not show as strongly as was asked; what was asked for."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,8 +106,10 @@ def begin(asked: Asked) -> Begun:
 
 def make(
     begun: Begun, predictor: Predictor, known: Known, heard: Callable[[int, int, str], None] = lambda *_: None
-) -> None:
-    """All sets that are not there yet. `heard` is told how many of how many are there, and what is done.
+) -> Index:
+    """All sets that are not there yet, then the root of all; the index with it.
+
+    `heard` is told how many of how many are there, and what is done.
 
     Raises InputError where no kind that is left shows as strongly as was asked.
     """
@@ -113,6 +125,7 @@ def make(
         heard(number, len(plan), one.id)
         _make_one(asked, scene, one, kinds)
     heard(len(plan), len(plan), "done")
+    return close(asked.folder, begun.index)
 
 
 def _make_one(asked: Asked, scene: Scene, one: Planned, kinds: Kinds) -> None:
@@ -184,6 +197,7 @@ def _index(asked: Asked, plan: Sequence[Planned]) -> Index:
     path = asked.folder / ANSWERS / ASKED
     if path.exists():
         there = read_index(asked.folder) if (asked.folder / INDEX).exists() else index
+        index = index.model_copy(update={"seals": there.seals, "root": there.root})
         if there != index or read_json(path, ASKED, "what was asked for", "name another folder") != asked.document():
             mend = "the same command goes on with its sets; take another folder for others"
             raise InputError("FOLDER", str(asked.folder), "an empty folder, or one that the same command began", mend)

@@ -13,9 +13,10 @@ from pathlib import Path
 from typing import Any
 
 from luxloop.errors import InputError
+from validation.blind_test.bound import chain_of, check_root
 from validation.blind_test.folders import Index, read_index
 from validation.blind_test.groups import group_of
-from validation.blind_test.judging import read_record, record_path
+from validation.blind_test.records import read_record, record_path
 from validation.blind_test.seals import Answer, has_data, opened
 from validation.effects.confounding import TOLD_APART
 
@@ -183,12 +184,15 @@ class Marked:
 def marked(folders: Sequence[Path]) -> list[Marked]:
     """All sets of all folders that have a verdict; only their seals are opened.
 
-    Raises InputError where there is no verdict at all, where two folders hold one set, and what `seals.opened` does.
+    Raises InputError where there is no verdict at all, where two folders hold one set, and what `bound.check_root`,
+    `bound.chain_of` and `seals.opened` do.
     """
     found: list[Marked] = []
     seals: dict[str, str] = {}
     for folder in folders:
         index: Index = read_index(folder)
+        check_root(folder, index)
+        chain_of(folder, index)
         names = [one.id for one in index.sets if record_path(folder, one.id).exists()]
         if not names:
             mend = f"luxloop blind diagnose {folder} comes first: no seal is opened before"

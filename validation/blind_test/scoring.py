@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from luxloop import __version__
 from validation.blind_test.folders import read_index
 from validation.blind_test.groups import GROUPS, group_of
-from validation.blind_test.judging import maps_path
 from validation.blind_test.making import weak_kinds
 from validation.blind_test.marks import Marked, marked
+from validation.blind_test.records import maps_path
 from validation.blind_test.table import Confused, Row, table
 
 
@@ -28,6 +28,7 @@ def score(folders: Sequence[Path]) -> dict[str, Any]:
         "folders": [str(folder) for folder in folders],
         "sets": len(sets),
         "without_verdict": sum(len(read_index(folder).sets) for folder in folders) - len(sets),
+        "roots": {str(folder): read_index(folder).root for folder in folders},
         "not_checked": sum(not one.is_checked for one in sets),
         "sentence": sentence(rows, len(first)),
         "table": [row.document() for row in rows],

@@ -19,7 +19,8 @@ from pydantic import Field
 from luxloop import __version__
 from luxloop.errors import InputError
 from luxloop.words import Name, Plain, Sha256, Words, canonical, parse
-from validation.blind_test.folders import ANSWERS, SCHEMA, SEAL, SETS, read_json, write_whole
+from validation.blind_test.bound import mark_opened
+from validation.blind_test.folders import ANSWERS, SCHEMA, SEAL, SETS, of_this_version, read_json, write_whole
 from validation.dataset.folder import SUMS, read_dataset
 from validation.dataset.manifest_file import MANIFEST
 
@@ -77,19 +78,15 @@ def seal_on(folder: Path, name: str) -> str:
     """The hash that lies with the data of a set. Raises InputError where there is none, or of another version."""
     path = folder / SETS / name / SEAL
     data = read_json(path, f"{name}: seal", "a set with a seal", "luxloop blind make writes it")
-    if (data.get("schema"), data.get("version")) != (SCHEMA, __version__):
-        found = f"{data.get('schema')}, luxloop {data.get('version')}"
-        raise InputError(
-            f"{name}: seal", found, f"a set of this version: {SCHEMA}, luxloop {__version__}", "make new"
-        )
+    of_this_version(data, f"{name}: seal", "a set")
     return str(data.get("sha256"))
 
 
 def opened(folder: Path, name: str, verdict: dict[str, Any]) -> Answer:
-    """The answer of a set, after its verdict is on record.
+    """The answer of a set, after its verdict is on record; that it was opened is put on record, too.
 
     Raises InputError: no answer, no salt, an answer that is not the one that was sealed, a seal or data that are not
-    those of the verdict, data that are there and were changed.
+    those of the verdict, data that are there and were changed, a verdict that was made after the seal was opened.
     """
     path = folder / ANSWERS / f"{name}.json"
     data = read_json(path, f"{name}: answer", "the answer that was sealed", "it lies where the sets were made")
@@ -108,6 +105,7 @@ def opened(folder: Path, name: str, verdict: dict[str, Any]) -> Answer:
         raise InputError(f"{name}: data", found, f"the data that were sealed, {answer.dataset_sha256[:16]}...", mend)
     if has_data(folder, name):
         _check_data(folder, name, answer.dataset_sha256)
+    mark_opened(folder, name, verdict)
     return answer
 
 

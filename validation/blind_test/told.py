@@ -16,6 +16,7 @@ MISSES = 20
 def made(document: Document) -> Iterator[str]:
     """What was made, and what comes next."""
     yield f"{document['folder']}: {document['sets']} sets, their answers sealed"
+    yield f"root of all seals: {document['root']} (note it: score prints it, too)"
     if document["too_weak"]:
         yield weak(document["too_weak"])
     yield f"next: luxloop blind diagnose {document['folder']}, then luxloop blind score {document['folder']}"
@@ -41,6 +42,7 @@ def scored(document: Document) -> Iterator[str]:
     yield document["sentence"]
     if document["without_verdict"]:
         yield f"{document['without_verdict']} sets have no verdict yet and do not count; their seals are shut."
+    yield from roots(document["roots"])
     if document["not_checked"]:
         yield not_checked(document["not_checked"])
     yield ""
@@ -59,6 +61,13 @@ def scored(document: Document) -> Iterator[str]:
                         ("to diagnose another one of its light", "diagnosed_again")):  # fmt: skip
         if spread := document["seconds"][name]:
             yield f"{words}: {spread['median']:.0f} s (median of {spread['sets']}), at most {spread['most']:.0f} s"
+
+
+def roots(of: Mapping[str, str | None]) -> Iterator[str]:
+    """Which seals are bound together in each folder, and where nothing binds them."""
+    for folder, root in of.items():
+        missing = "none (not all sets are made, or an older luxloop made them): a set taken away would not be found"
+        yield f"root of {folder}: {root or missing}"
 
 
 def not_checked(sets: int) -> str:

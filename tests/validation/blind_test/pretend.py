@@ -3,10 +3,23 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from validation.blind_test.folders import ANSWERS, INDEX, SETS, VERDICTS, Entry, Index, write_whole
+from luxloop import __version__
+from validation.blind_test.bound import Chain, close
+from validation.blind_test.folders import (
+    ANSWERS,
+    INDEX,
+    SCHEMA,
+    SETS,
+    VERDICTS,
+    Entry,
+    Index,
+    read_index,
+    write_whole,
+)
 from validation.blind_test.marks import Marked
 from validation.blind_test.seals import Answer, Hiding, seal
 
@@ -34,10 +47,11 @@ def answer(name: str, *hidden: Hiding, **changes: Any) -> Answer:
 def record(verdict: str, *named: str, **changes: Any) -> dict[str, Any]:
     """What a diagnosis said."""
     return {
-        "verdict": verdict, "sentence": f"{verdict}: {', '.join(named)}", "set": list(named), "groups": [],
+        "schema": SCHEMA, "version": __version__, "verdict": verdict,
+        "sentence": f"{verdict}: {', '.join(named)}", "set": list(named), "groups": [],
         "effects": [], "added": [{"name": name} for name in named[:1]], "seconds": 30.0, "first_of_light": True,
         "structure": {"p": 0.001}, "scores_p": 0.001, "dataset_sha256": DATA,
-        "seal": "", "next_measurement": None, "known": 32, "among": [],
+        "seal": "", "id": "", "next_measurement": None, "known": 32, "among": [],
         "solver": {"method": "twin", "histories": None, "seed": 1},
     } | changes  # fmt: skip
 
@@ -54,7 +68,26 @@ def folder_of(path: Path, *sets: tuple[Answer, dict[str, Any] | None]) -> Path:
     for one, found in sets:
         sealed = seal(path, path / SETS / one.id, one)
         if found is not None:
-            write_whole(path / VERDICTS / f"{one.id}.json", found | {"seal": sealed})
+            write_whole(path / VERDICTS / f"{one.id}.json", found | {"id": one.id, "seal": sealed})
+    return path
+
+
+def bound_folder_of(path: Path, *sets: tuple[Answer, dict[str, Any] | None]) -> Path:
+    """The same as `make` and `diagnose` leave it: with a root, and verdicts in a chain."""
+    folder_of(path, *sets)
+    close(path, read_index(path))
+    return chained(path, [one.id for one, found in sets if found is not None])
+
+
+def chained(path: Path, names: Iterable[str]) -> Path:
+    """Put the verdicts on these sets into a chain."""
+    end = Chain()
+    for name in names:
+        file = path / VERDICTS / f"{name}.json"
+        placed = end.added(json.loads(file.read_text()))
+        write_whole(file, placed)
+        end = Chain(placed["number"], placed["sha256"])
+    end.write(path)
     return path
 
 

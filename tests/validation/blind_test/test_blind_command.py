@@ -152,14 +152,16 @@ def test_a_file_is_written_whole_or_not_at_all(tmp_path: Path, monkeypatch: pyte
 
 @pytest.mark.slow
 def test_a_blind_test_over_real_processes(settings: Settings, plan: Path, tmp_path: Path) -> None:
-    """Two sets are made, diagnosed by the twin, scored; a verdict that was lost is made again, and nothing else."""
+    """Two sets are made, diagnosed by the twin, scored; a verdict that was lost is not made again."""
     small = ("--plan", str(plan), "--pixels", str(PIXELS), "--histories", str(HISTORIES))
     made = luxloop(
         settings, tmp_path, "blind", "make", "out", "--sets", "2", "--outside", "1", "--seed", "3", "--sigma", "12",
         "--kinds", "stray_daylight,smear", "--no-rivals", *small, "--json",
     )  # fmt: skip
     assert made.returncode == 0, made.stderr
-    assert json.loads(made.stdout) == {"folder": "out", "sets": 2, "too_weak": {}}
+    document = json.loads(made.stdout)
+    root = json.loads((tmp_path / "out" / "blind.json").read_text())["root"]
+    assert document == {"folder": "out", "sets": 2, "root": root, "too_weak": {}}
     for path in (tmp_path / "out" / ANSWERS).glob("set-*.json"):
         (hidden,) = json.loads(path.read_text())["answer"]["hidden"]
         assert hidden["sigma"] == pytest.approx(12.0, rel=0.1)
@@ -167,11 +169,15 @@ def test_a_blind_test_over_real_processes(settings: Settings, plan: Path, tmp_pa
     judged = luxloop(settings, tmp_path, "blind", "diagnose", "out", *few, "--json")
     assert judged.returncode == 0, judged.stderr
     assert json.loads(judged.stdout)["judged"] == 2
-    (tmp_path / "out" / "verdicts" / "set-2.json").unlink()
-    kept = (tmp_path / "out" / "verdicts" / "set-1.json").read_bytes()
+    path = tmp_path / "out" / "verdicts" / "set-2.json"
+    kept = path.read_bytes()
+    path.unlink()
+    lost = luxloop(settings, tmp_path, "blind", "diagnose", "out", *few)
+    assert (lost.returncode, "a verdict was taken away" in lost.stderr) == (2, True)
+    path.write_bytes(kept)
     again = luxloop(settings, tmp_path, "blind", "diagnose", "out", *few)
-    assert "1 verdicts put on record, 1 were there" in again.stdout
-    assert (tmp_path / "out" / "verdicts" / "set-1.json").read_bytes() == kept
+    assert "0 verdicts put on record, 2 were there" in again.stdout
+    assert path.read_bytes() == kept
     scored = luxloop(settings, tmp_path, "blind", "score", "out", "--json", "--page", "score.html")
     assert scored.returncode == 0, scored.stderr
     document = json.loads(scored.stdout)

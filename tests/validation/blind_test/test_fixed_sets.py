@@ -26,7 +26,8 @@ from tests.validation.blind_test.pretend import change, change_answer
 from tests.validation.workers import Workers
 from validation.blind_test import folders, seals
 from validation.blind_test.folders import ANSWERS, INDEX, SETS, VERDICTS, read_index, read_json
-from validation.blind_test.judging import Judge, read_record
+from validation.blind_test.judging import Judge
+from validation.blind_test.records import read_record
 from validation.blind_test.scoring import score
 from validation.comparing import Solver
 from validation.dataset.folder import read_dataset

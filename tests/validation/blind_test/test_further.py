@@ -37,7 +37,7 @@ def folder(tmp_path: Path) -> Path:
         proposal = None if sample is None else {"sample": sample}
         sealed = json.loads((asked.folder / SETS / name / "seal.json").read_text())["sha256"]
         data = read_dataset(asked.folder / SETS / name).sha256
-        said = record("cannot_tell_apart", seal=sealed, dataset_sha256=data, next_measurement=proposal)
+        said = record("cannot_tell_apart", "vignetting", seal=sealed, dataset_sha256=data, next_measurement=proposal)
         write_whole(asked.folder / VERDICTS / f"{name}.json", said)
     return asked.folder
 

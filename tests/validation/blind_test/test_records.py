@@ -8,7 +8,7 @@ import pytest
 
 from benchmarks.blind_records import keep
 from luxloop.errors import InputError
-from tests.validation.blind_test.pretend import answer, folder_of, hiding, record
+from tests.validation.blind_test.pretend import answer, bound_folder_of, chained, folder_of, hiding, record
 from validation.blind_test.folders import ANSWERS, VERDICTS, write_whole
 from validation.blind_test.scoring import score
 
@@ -16,13 +16,15 @@ from validation.blind_test.scoring import score
 def test_what_has_a_verdict_is_kept_and_counts_the_same(tmp_path: Path) -> None:
     """One of two sets is judged; once both are, the copy is brought up to date. Another run's is refused."""
     first, second = answer("set-1", hiding("vignetting")), answer("set-2", hiding("camera_psf"))
-    run = folder_of(tmp_path / "run", (first, record("one_effect", "vignetting")), (second, None))
+    run = bound_folder_of(tmp_path / "run", (first, record("one_effect", "vignetting")), (second, None))
     kept = tmp_path / "kept"
     assert keep(run, kept) == 1
     assert not (kept / ANSWERS / "set-2.json").exists()
     assert score([kept])["table"] == score([run])["table"]
+    assert score([kept])["without_verdict"] == 1
     seal = (run / "sets" / "set-2" / "seal.json").read_text().split('"')[-2]
     write_whole(run / VERDICTS / "set-2.json", record("one_effect", "camera_psf") | {"seal": seal})
+    chained(run, ("set-1", "set-2"))
     assert keep(run, kept) == 2
     assert score([kept])["sets"] == 2
     other = folder_of(tmp_path / "other", (first, record("nothing_visible")))
