@@ -79,7 +79,7 @@ def make(
 
 def diagnose(
     folder: Folder,
-    model: Model = "paper",
+    model: Annotated[str | None, typer.Option(help="Only that of the sets, which is the default.")] = None,
     twin: Annotated[bool, typer.Option("--twin", help="By the twin alone, whose own error shows, too.")] = False,
     histories: Histories = HISTORIES,
     seed: Annotated[int, typer.Option(min=0, max=10**15, help="Of the Monte Carlo and the simulated noise.")] = 1,
@@ -92,14 +92,13 @@ def diagnose(
     quiet: Quiet = False,
 ) -> None:
     """Diagnose every blind set that has no verdict yet, and put it on record; no seal is opened."""
-    from luxloop.model_file import find_model
     from validation.blind_test import told
     from validation.blind_test.folders import read_index
-    from validation.blind_test.judging import Judge
+    from validation.blind_test.judging import Judge, chosen_model
     from validation.comparing import NULLS, Solver
 
     settings, index = load_settings(router=router), read_index(folder)
-    chosen, solver = find_model(model), Solver(None if twin else histories, seed)
+    chosen, solver = chosen_model(folder, index, model), Solver(None if twin else histories, seed)
     verdicts: Counter[str] = Counter()
     with workers(settings, no_local) as (predictor, known), bar(as_json or quiet) as heard:
         chosen_from = tuple(name.strip() for name in (among or "").split(",") if name.strip())

@@ -1,6 +1,7 @@
 """A folder of blind sets: what lies where, and files that are written whole or not at all.
 
 FOLDER/blind.json            what was asked for, but for what is hidden; the sets by name and light, the root
+       model.toml            the model that the sets are made about, where it is none that luxloop ships
        sets/ID/              an ordinary data set, and seal.json: the hash of the answer
        answers/ID.json       salt and answer; nobody needs it before the score
        verdicts/ID.json      what the diagnosis said; ID.npz: the residuals that it left
@@ -20,11 +21,13 @@ from pydantic import Field
 
 from luxloop import __version__
 from luxloop.errors import InputError
+from luxloop.model import Model
+from luxloop.model_file import find_model
 from luxloop.words import Name, Sha256, Words, parse
 
 SCHEMA: Literal["luxloop-blind/1"] = "luxloop-blind/1"
 INDEX, SETS, ANSWERS, VERDICTS, SEAL = "blind.json", "sets", "answers", "verdicts", "seal.json"
-CHAIN, OPENED = "chain.json", "opened"
+CHAIN, OPENED, MODEL = "chain.json", "opened", "model.toml"
 WEAK, ASKED = "too-weak.json", "asked.json"
 """Beside the answers: kinds that do not show as strongly as was asked; what was asked for."""
 
@@ -41,7 +44,8 @@ class Index(Words):
 
     schema_: Literal["luxloop-blind/1"] = Field(SCHEMA, alias="schema")
     version: str = Field(__version__, description="Of luxloop, which made the sets.")
-    model: str = Field("paper", description="The model that the verdicts begin with.")
+    model: str = Field("paper", description="The model that the verdicts begin with: a shipped one, or model.toml.")
+    model_sha256: Sha256 | None = Field(None, description="Its hash.")
     plan: str = Field(description="Name of the samples' plan.")
     sets: tuple[Entry, ...] = Field(min_length=1, max_length=100_000)
     seals: dict[Name, Sha256] = Field(default_factory=dict, description="Of all sets, once all of them are made.")
@@ -62,6 +66,15 @@ def read_index(folder: Path) -> Index:
     data = read_json(path, "FOLDER", f"a folder with a {INDEX}", "luxloop blind make FOLDER makes one")
     of_this_version(data, str(path), "sets")
     return parse(Index, data, str(path))
+
+
+def model_of(folder: Path, index: Index) -> Model:
+    """The model that sets were made about. Raises InputError where it is gone or was changed."""
+    found = find_model(folder / MODEL if index.model == MODEL else index.model)
+    if index.model_sha256 not in (None, found.sha256):
+        mend = "take the luxloop that made the sets, or put the file back"
+        raise InputError(f"{folder.name}: model {index.model}", found.sha256, f"{index.model_sha256}", mend)
+    return found
 
 
 def of_this_version(data: Mapping[str, Any], field: str, what: str) -> None:

@@ -14,11 +14,10 @@ from typing import Any
 import numpy as np
 
 from luxloop.errors import InputError
-from luxloop.model_file import find_model
 from luxloop.words import parse
 from validation import blind
 from validation.blind_test.bound import close
-from validation.blind_test.folders import INDEX, SETS, Entry, Index, read_index, write_whole
+from validation.blind_test.folders import INDEX, MODEL, SETS, Entry, Index, model_of, read_index, write_whole
 from validation.blind_test.records import read_record, record_path
 from validation.blind_test.scenes import Lights, mean_of
 from validation.blind_test.seals import Answer, opened, seal
@@ -47,6 +46,8 @@ def measure(folder: Path, out: Path, heard: Callable[[int, int, str], None] = la
     index = index.model_copy(update={"seals": there.seals, "root": there.root})
     if there != index:
         raise InputError("OUT", str(out), "an empty folder, or one that the same command began", "name another one")
+    if index.model == MODEL:
+        write_whole(out / MODEL, (folder / MODEL).read_bytes())
     write_whole(out / INDEX, index.text())
     for number, one in enumerate(asking):
         heard(number, len(asking), one.id)
@@ -71,7 +72,7 @@ def _measure_one(folder: Path, out: Path, one: Entry, index: Index) -> None:
     sample = parse(Sample, _proposal(folder, one.id), "next_measurement.sample")
     frames = int(EXPOSURES) if sample.id in {each.id for each in dataset.manifest.samples} else 1
     count = len(dataset.manifest.shots)
-    truth = truth_of(int(answer.truth["number"]), find_model(index.model), count + 1, answer.seed)
+    truth = truth_of(int(answer.truth["number"]), model_of(out, index), count + 1, answer.seed)
     image, exposure_ms = taken(truth, dataset, sample, answer, frames)
     temporary = out / SETS / f".{one.id}"
     shutil.rmtree(temporary, ignore_errors=True)

@@ -18,9 +18,11 @@ from numpy.typing import NDArray
 
 from luxloop import __version__
 from luxloop.effect import EffectSpec
+from luxloop.errors import InputError
 from luxloop.model import Model
+from luxloop.model_file import find_model
 from validation.blind_test.bound import Chain, chain_of, refuse_opened
-from validation.blind_test.folders import SCHEMA, SETS, Entry, Index, write_whole
+from validation.blind_test.folders import SCHEMA, SETS, Entry, Index, model_of, write_whole
 from validation.blind_test.records import maps_path, record_path
 from validation.blind_test.seals import seal_on
 from validation.comparing import Solver
@@ -163,6 +165,14 @@ class Judge:
         placed = chain.added(record)
         write_whole(record_path(self.folder, one.id), placed)
         return placed
+
+
+def chosen_model(folder: Path, index: Index, name: str | None) -> Model:
+    """The model of the sets. Raises InputError for another one: the truths were drawn about this one."""
+    own = model_of(folder, index)
+    if name is not None and find_model(name).sha256 != own.sha256:
+        raise InputError("--model", name, f"the model of the sets, {index.model}", "leave --model out")
+    return own
 
 
 def residuals_of(found: Diagnosis) -> dict[str, NDArray[np.float16]]:

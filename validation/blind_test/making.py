@@ -19,6 +19,7 @@ import numpy as np
 
 from luxloop.errors import InputError
 from luxloop.model import Model
+from luxloop.model_file import SHIPPED, find_model, to_toml
 from luxloop.words import sha256_of
 from validation import blind
 from validation.blind_test.bound import close
@@ -26,6 +27,7 @@ from validation.blind_test.folders import (
     ANSWERS,
     ASKED,
     INDEX,
+    MODEL,
     SETS,
     WEAK,
     Entry,
@@ -193,7 +195,8 @@ def seed_of(folder: Path, seed: int | None) -> int:
 def _index(asked: Asked, plan: Sequence[Planned]) -> Index:
     """What the folder says of itself; InputError where it has other sets."""
     entries = tuple(sorted((Entry(id=one.id, light=one.light) for one in plan), key=lambda one: one.id))
-    index = Index(plan=asked.plan.name, model=asked.model.name, sets=entries)
+    model = next((name for name in SHIPPED if find_model(name).sha256 == asked.model.sha256), MODEL)
+    index = Index(plan=asked.plan.name, model=model, model_sha256=asked.model.sha256, sets=entries)
     path = asked.folder / ANSWERS / ASKED
     if path.exists():
         there = read_index(asked.folder) if (asked.folder / INDEX).exists() else index
@@ -204,6 +207,8 @@ def _index(asked: Asked, plan: Sequence[Planned]) -> Index:
     elif asked.folder.exists() and any(asked.folder.iterdir()):
         raise InputError("FOLDER", str(asked.folder), "an empty folder, or one that is not there yet", "name another")
     write_whole(path, asked.document())
+    if model == MODEL:
+        write_whole(asked.folder / MODEL, to_toml(asked.model))
     write_whole(asked.folder / INDEX, index.text())
     return index
 

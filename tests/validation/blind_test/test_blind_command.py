@@ -9,11 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from luxloop.errors import InputError
 from luxloop.model_file import find_model
 from luxloop.settings import Settings
 from tests.validation.blind_test.pretend import answer, change, folder_of, hiding, record
 from tests.validation.test_loop import luxloop
-from validation.blind_test.folders import ANSWERS, SETS, write_whole
+from validation.blind_test.folders import ANSWERS, SETS, model_of, read_index, write_whole
+from validation.blind_test.judging import chosen_model
 from validation.blind_test.making import Asked, begin, make
 from validation.blind_test.truths import Counts
 from validation.dataset.folder import read_dataset, read_sums
@@ -63,6 +65,7 @@ def plan(tmp_path: Path) -> Path:
         (("make", "full"), "an empty folder"),
         (("make", "out", "--plan", "no-plan.toml"), "--plan"),
         (("diagnose", "nowhere"), "luxloop blind make FOLDER makes one"),
+        (("diagnose", "sealed", "--model", "clear_chip"), "the model of the sets, paper"),
         (("measure", "sealed", "out"), "only verdicts that cannot tell effects apart"),
         (("score", "nowhere"), "luxloop blind make FOLDER makes one"),
         (("score", "full"), "luxloop blind make FOLDER makes one"),
@@ -135,6 +138,23 @@ def test_making_goes_on_where_it_was_killed(plan: Path, tmp_path: Path) -> None:
     assert 0.75 < (int(image.max()) - 64) / 3800.0 < 0.95  # exposed to 0.85 of the full well
     with pytest.raises(ValueError, match="the same command"):
         begin(asked("cut", seed=5))
+
+
+@pytest.mark.parametrize("name", ["paper", "clear_chip", "mine"])
+def test_sets_know_their_model(plan: Path, tmp_path: Path, name: str) -> None:
+    """One that luxloop ships by its name, another one by a copy; it is the one that diagnose begins with."""
+    model = find_model("paper" if name == "mine" else name)
+    if name == "mine":
+        model = model.with_value("environment.receiver.reflectance", 0.21)
+    folder = tmp_path / "out"
+    begin(Asked(folder, Counts(1, nothing=1), 4, 20.0, read_plan(plan), model, (), PIXELS, HISTORIES))
+    index = read_index(folder)
+    assert index.model == ("model.toml" if name == "mine" else name)
+    assert chosen_model(folder, index, None) == model_of(folder, index) == model
+    with pytest.raises(InputError, match="leave --model out"):
+        chosen_model(folder, index, "paper" if name != "paper" else "clear_chip")
+    with pytest.raises(InputError, match="put the file back"):
+        model_of(folder, index.model_copy(update={"model_sha256": "0" * 64}))
 
 
 def test_a_file_is_written_whole_or_not_at_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,7 +13,8 @@ from luxloop.errors import InputError
 from luxloop.model_file import find_model
 from tests.validation.blind_test.pretend import record
 from tests.validation.blind_test.test_blind_command import HISTORIES, PIXELS, PLAN
-from validation.blind_test.folders import ANSWERS, SETS, VERDICTS, write_whole
+from validation.blind_test.bound import Chain
+from validation.blind_test.folders import ANSWERS, SETS, VERDICTS, model_of, write_whole
 from validation.blind_test.further import measure
 from validation.blind_test.making import Asked, begin, make
 from validation.blind_test.seals import opened
@@ -69,6 +70,22 @@ def test_a_further_image_is_of_the_same_truth(folder: Path, tmp_path: Path) -> N
         for file in ("images/mirror.tif", "images/further-mirror.tif")
     )
     assert np.corrcoef(mirror.ravel(), once_more.ravel())[0, 1] > 0.95  # the same image, but for its place
+
+
+def test_the_truth_is_about_a_model_of_ones_own(tmp_path: Path) -> None:
+    """Its copy lies in both folders: `measure` finds it where the file that it came from is gone."""
+    (tmp_path / "plan.toml").write_text(PLAN)
+    plan = read_plan(tmp_path / "plan.toml")
+    model = find_model("clear_chip").with_value("environment.receiver.reflectance", 0.21)
+    asked = Asked(tmp_path / "sets", Counts(1, nothing=1), 4, 20.0, plan, model, (), PIXELS, HISTORIES)
+    nobody: Any = None
+    index = make(begin(asked), nobody, nobody)
+    sealed, data = index.seals["set-1"], read_dataset(asked.folder / SETS / "set-1").sha256
+    asks = {"sample": plan.samples[1].model_dump(mode="json", exclude_defaults=True)}
+    said = record("cannot_tell_apart", "vignetting", seal=sealed, dataset_sha256=data, next_measurement=asks)
+    write_whole(asked.folder / VERDICTS / "set-1.json", Chain().added(said))
+    further = measure(asked.folder, tmp_path / "further")
+    assert model_of(tmp_path / "further", further) == model
 
 
 def test_it_goes_on_and_refuses_other_sets(folder: Path, tmp_path: Path) -> None:
