@@ -10,10 +10,10 @@ from luxloop.errors import InputError
 from validation.blind_test.folders import VERDICTS, of_this_version, read_json
 
 FIELDS: Mapping[str, tuple[type, ...]] = {
-    "verdict": (str,), "sentence": (str,), "seal": (str,), "dataset_sha256": (str,), "set": (list,),
-    "groups": (list,), "effects": (list,), "added": (list,), "among": (list,), "known": (int,), "structure": (dict,),
-    "solver": (dict,), "seconds": (int, float), "first_of_light": (bool,), "scores_p": (int, float, type(None)),
-    "next_measurement": (dict, type(None)),
+    "verdict": (str,), "sentence": (str,), "seal": (str,), "dataset_sha256": (str,), "model_sha256": (str,),
+    "set": (list,), "groups": (list,), "effects": (list,), "added": (list,), "among": (list,), "known": (int,),
+    "structure": (dict,), "solver": (dict,), "seconds": (int, float), "first_of_light": (bool,),
+    "scores_p": (int, float, type(None)), "next_measurement": (dict, type(None)),
 }  # fmt: skip
 """Of a record, what marks and table read."""
 WITHIN: Mapping[str, tuple[str, ...]] = {
@@ -51,7 +51,7 @@ def _check(record: Mapping[str, Any], field: str) -> None:
         for row in record[name]:
             if not isinstance(row, dict) or not set(wanted) <= set(row):
                 raise InputError(f"{field}: {name}", row, f"rows with {', '.join(wanted)}", MEND)
-    if not {"p"} <= set(record["structure"]) or not {"method"} <= set(record["solver"]):
-        raise InputError(field, "structure or solver", "structure with p, solver with method", MEND)
+    if not {"p"} <= set(record["structure"]) or not {"method", "seed"} <= set(record["solver"]):
+        raise InputError(field, "structure or solver", "structure with p, solver with method and seed", MEND)
     if record["verdict"] in ("one_effect", "cannot_tell_apart") and not record["set"]:
         raise InputError(f"{field}: set", record["set"], f"names, for the verdict is {record['verdict']}", MEND)

@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from luxloop import __version__
 from validation.blind_test.folders import read_index
 from validation.blind_test.groups import GROUPS, group_of
+from validation.blind_test.judged_by import judged_by
+from validation.blind_test.judged_by import sentence as said_by
 from validation.blind_test.making import weak_kinds
 from validation.blind_test.marks import Marked, marked
 from validation.blind_test.records import maps_path
@@ -21,7 +23,7 @@ from validation.blind_test.table import Confused, Row, table
 def score(folders: Sequence[Path]) -> dict[str, Any]:
     """Everything that is told; seals are opened. Raises InputError as `marks.marked` does."""
     sets = marked(folders)
-    rows = table(sets)
+    rows, by = table(sets), judged_by(sets)
     first = [one for one in sets if not one.answer.follows]
     hidden = [one for one in first if not one.is_nothing and not one.is_two]
     return {
@@ -30,7 +32,8 @@ def score(folders: Sequence[Path]) -> dict[str, Any]:
         "without_verdict": sum(len(read_index(folder).sets) for folder in folders) - len(sets),
         "roots": {str(folder): read_index(folder).root for folder in folders},
         "not_checked": sum(not one.is_checked for one in sets),
-        "sentence": sentence(rows, len(first)),
+        "sentence": sentence(rows, len(first), said_by(by)),
+        "by": by,
         "table": [row.document() for row in rows],
         "confusion": {
             "effects": Confused.of([(one.truth, one.said) for one in hidden]).document(),
@@ -51,12 +54,12 @@ def score(folders: Sequence[Path]) -> dict[str, Any]:
     }
 
 
-def sentence(rows: Sequence[Row], sets: int) -> str:
-    """What to say first."""
+def sentence(rows: Sequence[Row], sets: int, by: str) -> str:
+    """What to say first: how many sets, by what they were judged, how many targets are met."""
     judged = [row for row in rows if row.said in ("shown", "met", "short")]
     shown, short = (sum(row.said == word for row in judged) for word in ("shown", "short"))
     return (
-        f"{sets} sets: of {len(judged)} targets that they can judge {len(judged) - short} are met"
+        f"{sets} sets, {by}: of {len(judged)} targets that they can judge {len(judged) - short} are met"
         f" ({shown} of them shown: the whole 95 % interval), {short} fall short."
     )
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from luxloop import __version__
+from luxloop.model_file import find_model
 from validation.blind_test.bound import Chain, close
 from validation.blind_test.folders import (
     ANSWERS,
@@ -51,7 +52,8 @@ def record(verdict: str, *named: str, **changes: Any) -> dict[str, Any]:
         "sentence": f"{verdict}: {', '.join(named)}", "set": list(named), "groups": [],
         "effects": [], "added": [{"name": name} for name in named[:1]], "seconds": 30.0, "first_of_light": True,
         "structure": {"p": 0.001}, "scores_p": 0.001, "dataset_sha256": DATA,
-        "seal": "", "id": "", "next_measurement": None, "known": 32, "among": [],
+        "model_sha256": find_model("paper").sha256, "seal": "", "id": "", "next_measurement": None,
+        "known": 32, "among": [],
         "solver": {"method": "twin", "histories": None, "seed": 1},
     } | changes  # fmt: skip
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -102,6 +103,30 @@ def test_sets_of_another_version(folder: Path) -> None:
     change(folder / INDEX, version="0.0.1")
     with pytest.raises(InputError, match="sets of this version"):
         read_index(folder)
+
+
+@pytest.mark.parametrize("changes", [{"version": "0.0.1"}, {"schema": "luxloop-blind/0"}])
+def test_verdicts_of_another_version(folder: Path, changes: dict[str, str]) -> None:
+    """They are no sample of one thing with those of this one."""
+    change(folder / VERDICTS / "set-1.json", **changes)
+    with pytest.raises(InputError, match="a verdict of this version") as error:
+        score([folder])
+    assert error.value.field == "set-1: verdict"
+
+
+@pytest.mark.parametrize("changes", [
+    {"model_sha256": "e" * 64}, {"solver": {"method": "anchored", "histories": 10_000_000, "seed": 1}},
+    {"solver": {"method": "twin", "histories": None, "seed": 2}}, {"among": ["vignetting"]}, {"known": 31},
+])  # fmt: skip
+def test_unlike_verdicts_are_said_first(folder: Path, tmp_path: Path, changes: dict[str, Any]) -> None:
+    """Another model, solver, seed, or other effects to choose from: in the first line, with how many of each."""
+    alike = score([folder])["sentence"]
+    assert alike.startswith("1 sets, by model paper, the twin, seed 1, all 32 effects: of ")
+    other = folder_of(tmp_path / "other", (answer("set-1", hiding("coma")), record("none_of_the_known", **changes)))
+    found = score([folder, other])
+    assert found["sentence"].startswith("2 sets, UNLIKE verdicts, 1 by model paper, the twin")
+    assert [one["sets"] for one in found["by"]] == [1, 1]
+    assert next(told.scored(found)) == found["sentence"]
 
 
 def test_a_score_without_verdicts(tmp_path: Path) -> None:
