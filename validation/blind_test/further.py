@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 
 from luxloop.errors import InputError
-from luxloop.words import parse
+from luxloop.words import parse, sha256_of
 from validation import blind
-from validation.blind_test.bound import close
+from validation.blind_test.bound import chain_of, check_root, close
 from validation.blind_test.folders import INDEX, MODEL, SETS, Entry, Index, model_of, read_index, write_whole
 from validation.blind_test.records import read_record, record_path
 from validation.blind_test.scenes import Lights, mean_of
@@ -37,11 +37,14 @@ def measure(folder: Path, out: Path, heard: Callable[[int, int, str], None] = la
 
     Raises InputError where no verdict asks for an image, where OUT has other sets, and as `seals.opened` does.
     """
-    asking = [one for one in read_index(folder).sets if _proposal(folder, one.id) is not None]
+    whole = read_index(folder)
+    check_root(folder, whole)
+    chain_of(folder, whole)
+    asking = [one for one in whole.sets if _proposal(folder, one.id) is not None]
     if not asking:
         mend = "only verdicts that cannot tell effects apart propose one (luxloop blind diagnose comes first)"
         raise InputError("FOLDER", str(folder), "verdicts that propose an image", mend)
-    index = read_index(folder).model_copy(update={"sets": tuple(asking), "seals": {}, "root": None})
+    index = whole.model_copy(update={"sets": tuple(asking), "seals": {}, "root": None})
     there = read_index(out) if (out / INDEX).exists() else index
     index = index.model_copy(update={"seals": there.seals, "root": there.root})
     if there != index:
@@ -116,5 +119,10 @@ def taken(truth: Truth, dataset: Dataset, sample: Sample, answer: Answer, frames
     dn_per_ms = float(lit.signal_dn.max() / lit.irradiance_per_mm2.max()) / lit.exposure_ms
     number = len(old)  # what a camera draws for each image, it draws anew for this one
     signal = blind.signals([light] * (number + 1), [lit.exposure_ms] * (number + 1), dn_per_ms, camera, hidden)[-1]
-    raw = blind.recorded([signal] * (number + frames), camera, hidden, truth.seed)[number:]
+    raw = blind.recorded([signal] * (number + frames), camera, hidden, noise_seed(answer, number))[number:]
     return np.mean(raw, axis=0), lit.exposure_ms
+
+
+def noise_seed(answer: Answer, number: int) -> int:
+    """Of the noise of a set's further image: its own, for sets may share a truth."""
+    return int(sha256_of({"seed": answer.seed, "id": answer.id, "image": number})[:12], 16)

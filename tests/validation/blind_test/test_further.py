@@ -11,12 +11,13 @@ import pytest
 
 from luxloop.errors import InputError
 from luxloop.model_file import find_model
-from tests.validation.blind_test.pretend import record
+from tests.validation.blind_test.pretend import chained, change, record
 from tests.validation.blind_test.test_blind_command import HISTORIES, PIXELS, PLAN
 from validation.blind_test.bound import Chain
 from validation.blind_test.folders import ANSWERS, SETS, VERDICTS, model_of, write_whole
-from validation.blind_test.further import measure
+from validation.blind_test.further import measure, noise_seed
 from validation.blind_test.making import Asked, begin, make
+from validation.blind_test.records import read_record
 from validation.blind_test.seals import opened
 from validation.blind_test.truths import Counts
 from validation.dataset.folder import read_dataset
@@ -40,7 +41,7 @@ def folder(tmp_path: Path) -> Path:
         data = read_dataset(asked.folder / SETS / name).sha256
         said = record("cannot_tell_apart", "vignetting", seal=sealed, dataset_sha256=data, next_measurement=proposal)
         write_whole(asked.folder / VERDICTS / f"{name}.json", said)
-    return asked.folder
+    return chained(asked.folder, ("set-1", "set-2", "set-3"))
 
 
 def test_a_further_image_is_of_the_same_truth(folder: Path, tmp_path: Path) -> None:
@@ -63,6 +64,7 @@ def test_a_further_image_is_of_the_same_truth(folder: Path, tmp_path: Path) -> N
         after = opened(out, name, {"seal": sealed, "dataset_sha256": new.sha256})
         assert after.follows == before["seal"] != sealed
         assert after.truth == opened(folder, name, before).truth
+    assert len({noise_seed(opened(folder, name, read_record(folder, name)), 2) for name in ("set-1", "set-2")}) == 2
     again = read_dataset(out / SETS / "set-2").manifest
     assert len(again.samples) == 2
     mirror, once_more = (
@@ -70,6 +72,22 @@ def test_a_further_image_is_of_the_same_truth(folder: Path, tmp_path: Path) -> N
         for file in ("images/mirror.tif", "images/further-mirror.tif")
     )
     assert np.corrcoef(mirror.ravel(), once_more.ravel())[0, 1] > 0.95  # the same image, but for its place
+
+
+def test_further_images_of_one_truth_have_noise_of_their_own(folder: Path, tmp_path: Path) -> None:
+    """Three sets of one light that ask for the same image: the frames shared their noise, bit for bit."""
+    mirror = json.loads((folder / VERDICTS / "set-2.json").read_text())["next_measurement"]["sample"]
+    for name in ("set-1", "set-2"):
+        said = {"sample": mirror | {"id": "next", "distance_um": 60.0}}
+        change(folder / VERDICTS / f"{name}.json", next_measurement=said)
+    chained(folder, ("set-1", "set-2", "set-3"))
+    measure(folder, tmp_path / "further")
+    one, two = (
+        read_tiff(tmp_path / "further" / SETS / name / "images/further-next.tif", name).values.astype(float)
+        for name in ("set-1", "set-2")
+    )
+    assert not np.array_equal(one, two)
+    assert np.corrcoef(one.ravel(), two.ravel())[0, 1] > 0.9
 
 
 def test_the_truth_is_about_a_model_of_ones_own(tmp_path: Path) -> None:
