@@ -184,25 +184,43 @@ class Marked:
 def marked(folders: Sequence[Path]) -> list[Marked]:
     """All sets of all folders that have a verdict; only their seals are opened.
 
-    Raises InputError where there is no verdict at all, where two folders hold one set, and what `bound.check_root`,
-    `bound.chain_of` and `seals.opened` do.
+    Raises InputError where there is no verdict at all, where two sets have one seal, the same data, or follow one
+    set, and what `bound.check_root`, `bound.chain_of` and `seals.opened` do.
     """
     found: list[Marked] = []
-    seals: dict[str, str] = {}
+    seen: dict[str, str] = {}
     for folder in folders:
-        index: Index = read_index(folder)
-        check_root(folder, index)
-        chain_of(folder, index)
-        names = [one.id for one in index.sets if record_path(folder, one.id).exists()]
-        if not names:
-            mend = f"luxloop blind diagnose {folder} comes first: no seal is opened before"
-            raise InputError("FOLDER", str(folder), "sets with verdicts on record", mend)
-        for name in names:
+        for name in _judged(folder):
             record = read_record(folder, name)
             one = Marked(folder, opened(folder, name, record), record, has_data(folder, name))
-            where = f"{folder}: {name}"
-            if record["seal"] in seals:
-                raise InputError("FOLDER", where, "each set once", f"it is {seals[record['seal']]}, too")
-            seals[record["seal"]] = where
+            _count_once(one, seen)
             found.append(one)
     return found
+
+
+def _judged(folder: Path) -> list[str]:
+    """The sets of a folder that have a verdict, once nothing was changed or taken away."""
+    index: Index = read_index(folder)
+    check_root(folder, index)
+    chain_of(folder, index)
+    names = [one.id for one in index.sets if record_path(folder, one.id).exists()]
+    if not names:
+        mend = f"luxloop blind diagnose {folder} comes first: no seal is opened before"
+        raise InputError("FOLDER", str(folder), "sets with verdicts on record", mend)
+    return names
+
+
+def _count_once(one: Marked, seen: dict[str, str]) -> None:
+    """Raises InputError for a set that is there already, made again by the same seed, or with a second image."""
+    where = f"{one.folder}: {one.id}"
+    same = {
+        f"seal {one.record['seal']}": ("each set once", "it is {}, too"),
+        f"data {one.answer.dataset_sha256}": ("each set once", "its data are those of {}, made by the same seed"),
+    }
+    if one.answer.follows:
+        allowed = "one further set of each"
+        same[f"follows {one.answer.follows}"] = (allowed, "{} follows the same set: score one of them")
+    for key, (allowed, mend) in same.items():
+        if key in seen:
+            raise InputError("FOLDER", where, allowed, mend.format(seen[key]))
+        seen[key] = where

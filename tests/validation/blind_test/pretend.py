@@ -9,6 +9,7 @@ from typing import Any
 
 from luxloop import __version__
 from luxloop.model_file import find_model
+from luxloop.words import sha256_of
 from validation.blind_test.bound import Chain, close
 from validation.blind_test.folders import (
     ANSWERS,
@@ -24,8 +25,6 @@ from validation.blind_test.folders import (
 from validation.blind_test.marks import Marked
 from validation.blind_test.seals import Answer, Hiding, seal
 
-DATA = "d" * 64
-
 
 def hiding(*right: str, kind: str = "", sigma: float = 20.0, **changes: Any) -> Hiding:
     """A hidden thing, whose right answers are these."""
@@ -38,9 +37,10 @@ def hiding(*right: str, kind: str = "", sigma: float = 20.0, **changes: Any) -> 
 def answer(name: str, *hidden: Hiding, **changes: Any) -> Answer:
     """What a set hides."""
     sigma = max((one.sigma for one in hidden), default=0.0)
+    data = sha256_of({"id": name, "kinds": [one.kind for one in hidden]})
     values: dict[str, Any] = {
         "id": name, "hidden": hidden, "asked_sigma": sigma, "sigma": sigma, "truth": {"number": 0},
-        "light": f"of-{name}", "seed": 1, "histories": 1000, "dataset_sha256": DATA, "seconds": 2.0,
+        "light": f"of-{name}", "seed": 1, "histories": 1000, "dataset_sha256": data, "seconds": 2.0,
     }  # fmt: skip
     return Answer(**(values | changes))
 
@@ -51,7 +51,7 @@ def record(verdict: str, *named: str, **changes: Any) -> dict[str, Any]:
         "schema": SCHEMA, "version": __version__, "verdict": verdict,
         "sentence": f"{verdict}: {', '.join(named)}", "set": list(named), "groups": [],
         "effects": [], "added": [{"name": name} for name in named[:1]], "seconds": 30.0, "first_of_light": True,
-        "structure": {"p": 0.001}, "scores_p": 0.001, "dataset_sha256": DATA,
+        "structure": {"p": 0.001}, "scores_p": 0.001, "dataset_sha256": "",
         "model_sha256": find_model("paper").sha256, "seal": "", "id": "", "next_measurement": None,
         "known": 32, "among": [],
         "solver": {"method": "twin", "histories": None, "seed": 1},
@@ -70,7 +70,10 @@ def folder_of(path: Path, *sets: tuple[Answer, dict[str, Any] | None]) -> Path:
     for one, found in sets:
         sealed = seal(path, path / SETS / one.id, one)
         if found is not None:
-            write_whole(path / VERDICTS / f"{one.id}.json", found | {"id": one.id, "seal": sealed})
+            write_whole(
+                path / VERDICTS / f"{one.id}.json",
+                found | {"id": one.id, "seal": sealed, "dataset_sha256": one.dataset_sha256},
+            )
     return path
 
 

@@ -23,7 +23,10 @@ def test_what_has_a_verdict_is_kept_and_counts_the_same(tmp_path: Path) -> None:
     assert score([kept])["table"] == score([run])["table"]
     assert score([kept])["without_verdict"] == 1
     seal = (run / "sets" / "set-2" / "seal.json").read_text().split('"')[-2]
-    write_whole(run / VERDICTS / "set-2.json", record("one_effect", "camera_psf") | {"seal": seal})
+    write_whole(
+        run / VERDICTS / "set-2.json",
+        record("one_effect", "camera_psf", seal=seal, dataset_sha256=second.dataset_sha256),
+    )
     chained(run, ("set-1", "set-2"))
     assert keep(run, kept) == 2
     assert score([kept])["sets"] == 2

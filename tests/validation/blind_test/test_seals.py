@@ -146,13 +146,28 @@ def test_only_sets_with_verdicts_are_opened(tmp_path: Path) -> None:
 
 
 def test_a_folder_counts_once(folder: Path) -> None:
-    """Given twice it is refused; two folders add up."""
+    """Given twice, or made twice by one seed, it is refused; two folders add up."""
     with pytest.raises(InputError, match="each set once"):
         score([folder, folder])
-    other = folder_of(folder.parent / "other", (SET, record("none_of_the_known")))
+    again = folder_of(folder.parent / "again", (SET, record("none_of_the_known")))
+    with pytest.raises(InputError, match="made by the same seed"):
+        score([folder, again])
+    own = answer("set-1", hiding("vignetting"), dataset_sha256="e" * 64)
+    other = folder_of(folder.parent / "other", (own, record("none_of_the_known")))
     found = score([folder, other])
     assert found["sets"] == 2
     assert [one["folder"] for one in found["misses"]] == [str(other)]
+
+
+def test_a_set_has_one_further_set(folder: Path) -> None:
+    """The last of several stood in for all of them; which one counts is nobody's choice."""
+    follows = json.loads((folder / SETS / "set-1" / SEAL).read_text())["sha256"]
+    sets = [answer("set-1", hiding("vignetting"), follows=follows, dataset_sha256=data * 64) for data in "ef"]
+    one, two = (folder_of(folder.parent / name, (each, record("nothing_visible")))
+                for name, each in zip(("one", "two"), sets, strict=True))  # fmt: skip
+    assert score([folder, one])["sets"] == 2
+    with pytest.raises(InputError, match="follows the same set"):
+        score([folder, one, two])
 
 
 def test_a_seal_outlives_new_words(folder: Path) -> None:
