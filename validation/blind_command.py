@@ -57,6 +57,7 @@ def make(
     """Make data sets that hide something, by a forward model of their own; the answers are sealed."""
     from luxloop.model_file import find_model
     from validation.blind_test import making, told
+    from validation.blind_test.alone import alone
     from validation.blind_test.truths import Counts
     from validation.dataset.simulation_plan import paper_plan, read_plan
 
@@ -65,9 +66,11 @@ def make(
         paper_plan() if plan is None else read_plan(plan), find_model(model),
         tuple(name.strip() for name in (kinds or "").split(",") if name.strip()), pixels, histories, rivals,
     )  # fmt: skip
-    begun = making.begin(asked)
-    with workers(load_settings(router=router), no_local) as (predictor, known), bar(as_json or quiet) as heard:
-        index = making.make(begun, predictor, known, heard)
+    making.prepared(asked)  # says at once what cannot be, before there is a folder
+    with alone(folder, "make"):
+        begun = making.begin(asked)
+        with workers(load_settings(router=router), no_local) as (predictor, known), bar(as_json or quiet) as heard:
+            index = making.make(begun, predictor, known, heard)
     document = {
         "folder": str(folder),
         "sets": len(index.sets),
@@ -93,6 +96,7 @@ def diagnose(
 ) -> None:
     """Diagnose every blind set that has no verdict yet, and put it on record; no seal is opened."""
     from validation.blind_test import told
+    from validation.blind_test.alone import alone
     from validation.blind_test.folders import read_index
     from validation.blind_test.judging import Judge, chosen_model
     from validation.comparing import NULLS, Solver
@@ -100,7 +104,11 @@ def diagnose(
     settings, index = load_settings(router=router), read_index(folder)
     chosen, solver = chosen_model(folder, index, model), Solver(None if twin else histories, seed)
     verdicts: Counter[str] = Counter()
-    with workers(settings, no_local) as (predictor, known), bar(as_json or quiet) as heard:
+    with (
+        alone(folder, "diagnose"),
+        workers(settings, no_local) as (predictor, known),
+        bar(as_json or quiet) as heard,
+    ):
         chosen_from = tuple(name.strip() for name in (among or "").split(",") if name.strip())
         judge = Judge(folder, chosen, predictor, known, solver, settings.cache_dir / NULLS, chosen_from)
         verdicts.update(str(record["verdict"]) for record in judge.verdicts(index, heard))

@@ -16,6 +16,7 @@ import numpy as np
 from luxloop.errors import InputError
 from luxloop.words import parse, sha256_of
 from validation import blind
+from validation.blind_test.alone import alone
 from validation.blind_test.bound import chain_of, check_root, close
 from validation.blind_test.folders import INDEX, MODEL, SETS, Entry, Index, model_of, read_index, write_whole
 from validation.blind_test.records import read_record, record_path
@@ -35,8 +36,24 @@ from validation.diagnose.next_measurement import EXPOSURES
 def measure(folder: Path, out: Path, heard: Callable[[int, int, str], None] = lambda *_: None) -> Index:
     """All further sets that are not there yet. `heard` is told how many of how many there are.
 
-    Raises InputError where no verdict asks for an image, where OUT has other sets, and as `seals.opened` does.
+    OUT grows where further verdicts ask for an image. Raises InputError where none does, where OUT has other sets,
+    and as `seals.opened` does.
     """
+    asked = _asked(folder, out)
+    with alone(out, "measure", "OUT"):
+        if asked.model == MODEL:
+            write_whole(out / MODEL, (folder / MODEL).read_bytes())
+        write_whole(out / INDEX, asked.text())
+        for number, one in enumerate(asked.sets):
+            heard(number, len(asked.sets), one.id)
+            if not (out / SETS / one.id).is_dir():
+                _measure_one(folder, out, one, asked)
+        heard(len(asked.sets), len(asked.sets), "done")
+        return close(out, asked)
+
+
+def _asked(folder: Path, out: Path) -> Index:
+    """The sets whose verdicts propose an image: those that are in OUT, and others since."""
     whole = read_index(folder)
     check_root(folder, whole)
     chain_of(folder, whole)
@@ -45,19 +62,14 @@ def measure(folder: Path, out: Path, heard: Callable[[int, int, str], None] = la
         mend = "only verdicts that cannot tell effects apart propose one (luxloop blind diagnose comes first)"
         raise InputError("FOLDER", str(folder), "verdicts that propose an image", mend)
     index = whole.model_copy(update={"sets": tuple(asking), "seals": {}, "root": None})
-    there = read_index(out) if (out / INDEX).exists() else index
-    index = index.model_copy(update={"seals": there.seals, "root": there.root})
-    if there != index:
+    if not (out / INDEX).exists():
+        return index
+    there = read_index(out)
+    if there.model_copy(update={"sets": index.sets, "seals": {}, "root": None}) != index or not (
+        set(there.sets) <= set(index.sets)
+    ):
         raise InputError("OUT", str(out), "an empty folder, or one that the same command began", "name another one")
-    if index.model == MODEL:
-        write_whole(out / MODEL, (folder / MODEL).read_bytes())
-    write_whole(out / INDEX, index.text())
-    for number, one in enumerate(asking):
-        heard(number, len(asking), one.id)
-        if not (out / SETS / one.id).is_dir():
-            _measure_one(folder, out, one, index)
-    heard(len(asking), len(asking), "done")
-    return close(out, index)
+    return index.model_copy(update={"seals": there.seals, "root": there.root if there.sets == index.sets else None})
 
 
 def _proposal(folder: Path, name: str) -> dict[str, Any] | None:

@@ -22,6 +22,7 @@ from luxloop.model import Model
 from luxloop.model_file import SHIPPED, find_model, to_toml
 from luxloop.words import sha256_of
 from validation import blind
+from validation.blind_test.alone import LOCK
 from validation.blind_test.bound import close
 from validation.blind_test.folders import (
     ANSWERS,
@@ -96,14 +97,24 @@ class Begun:
     kinds: Kinds
 
 
-def begin(asked: Asked) -> Begun:
-    """The folder, begun or to be gone on with. Nothing is traced yet.
+def prepared(asked: Asked) -> Begun:
+    """What would be begun or gone on with; nothing is written yet.
 
-    Raises InputError where it has other sets, and where there is no kind of a sort that is asked for.
+    Raises InputError where the folder has other sets, and where there is no kind of a sort that is asked for.
     """
     plan = planned(asked.counts, asked.seed)
     kinds = _kinds(asked, plan)
     return Begun(asked, _index(asked, plan), plan, kinds)
+
+
+def begin(asked: Asked) -> Begun:
+    """The folder, begun or to be gone on with. Nothing is traced yet. Raises InputError as `prepared` does."""
+    begun = prepared(asked)
+    write_whole(asked.folder / ANSWERS / ASKED, asked.document())
+    if begun.index.model == MODEL:
+        write_whole(asked.folder / MODEL, to_toml(asked.model))
+    write_whole(asked.folder / INDEX, begun.index.text())
+    return begun
 
 
 def make(
@@ -204,13 +215,13 @@ def _index(asked: Asked, plan: Sequence[Planned]) -> Index:
         if there != index or read_json(path, ASKED, "what was asked for", "name another folder") != asked.document():
             mend = "the same command goes on with its sets; take another folder for others"
             raise InputError("FOLDER", str(asked.folder), "an empty folder, or one that the same command began", mend)
-    elif asked.folder.exists() and any(asked.folder.iterdir()):
+    elif asked.folder.exists() and not _is_empty(asked.folder):
         raise InputError("FOLDER", str(asked.folder), "an empty folder, or one that is not there yet", "name another")
-    write_whole(path, asked.document())
-    if model == MODEL:
-        write_whole(asked.folder / MODEL, to_toml(asked.model))
-    write_whole(asked.folder / INDEX, index.text())
     return index
+
+
+def _is_empty(folder: Path) -> bool:
+    return folder.is_dir() and all(one.name == LOCK for one in folder.iterdir())
 
 
 def _answers(folder: Path) -> Iterator[Answer]:

@@ -63,6 +63,7 @@ def plan(tmp_path: Path) -> Path:
         (("make", "out", "--kinds", "dust", "--sets", "2"), "in the catalogue"),
         (("make", "out", "--sets", "3", "--nothing", "4"), "--outside + --two + --nothing"),
         (("make", "full"), "an empty folder"),
+        (("make", "full/notes.txt"), "an empty folder"),
         (("make", "out", "--plan", "no-plan.toml"), "--plan"),
         (("diagnose", "nowhere"), "luxloop blind make FOLDER makes one"),
         (("diagnose", "sealed", "--model", "clear_chip"), "the model of the sets, paper"),

@@ -11,10 +11,11 @@ import pytest
 
 from luxloop.errors import InputError
 from luxloop.model_file import find_model
+from luxloop.words import sha256_of
 from tests.validation.blind_test.pretend import chained, change, record
 from tests.validation.blind_test.test_blind_command import HISTORIES, PIXELS, PLAN
 from validation.blind_test.bound import Chain
-from validation.blind_test.folders import ANSWERS, SETS, VERDICTS, model_of, write_whole
+from validation.blind_test.folders import ANSWERS, SETS, VERDICTS, model_of, read_index, write_whole
 from validation.blind_test.further import measure, noise_seed
 from validation.blind_test.making import Asked, begin, make
 from validation.blind_test.records import read_record
@@ -107,11 +108,20 @@ def test_the_truth_is_about_a_model_of_ones_own(tmp_path: Path) -> None:
 
 
 def test_it_goes_on_and_refuses_other_sets(folder: Path, tmp_path: Path) -> None:
-    """What is there stays; verdicts that ask for nothing are said; a truth of another seed is found."""
+    """What is there stays, one more verdict adds a set; verdicts that ask for nothing and another truth are said."""
     out = tmp_path / "further"
     measure(folder, out)
     kept = (out / SETS / "set-1" / "seal.json").read_bytes()
-    assert measure(folder, out) == measure(folder, out)
+    assert measure(folder, out) == measure(folder, out) == read_index(out)
+    assert (out / SETS / "set-1" / "seal.json").read_bytes() == kept
+    said = json.loads((folder / VERDICTS / "set-2.json").read_text())["next_measurement"]
+    change(folder / VERDICTS / "set-3.json", next_measurement=said)
+    chained(folder, ("set-1", "set-2", "set-3"))
+    for name in ("set-1", "set-2"):
+        (folder / "opened" / f"{name}.json").unlink()  # the chain was written anew
+    grown = measure(folder, out)
+    assert [one.id for one in grown.sets] == ["set-1", "set-2", "set-3"]
+    assert grown.root == sha256_of(grown.seals) == sha256_of(read_index(out).seals)
     assert (out / SETS / "set-1" / "seal.json").read_bytes() == kept
     with pytest.raises(InputError, match="verdicts that propose an image"):
         measure(out, tmp_path / "nothing")
