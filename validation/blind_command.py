@@ -58,6 +58,7 @@ def make(
     from luxloop.model_file import find_model
     from validation.blind_test import making, told
     from validation.blind_test.alone import alone
+    from validation.blind_test.left_out import no_amounts, weak_kinds
     from validation.blind_test.truths import Counts
     from validation.dataset.simulation_plan import paper_plan, read_plan
 
@@ -75,7 +76,8 @@ def make(
         "folder": str(folder),
         "sets": len(index.sets),
         "root": index.root,
-        "too_weak": making.weak_kinds(folder),
+        "too_weak": weak_kinds(folder),
+        "no_amount": no_amounts(folder),
     }
     typer.echo(json.dumps(document) if as_json else "\n".join(told.made(document)))
 

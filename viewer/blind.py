@@ -76,8 +76,11 @@ def _table(document: Document) -> Iterator[str]:
         yield paragraph(f"Data of {document['not_checked']} sets are not there, only their records: not checked.")
     if document["too_weak"]:
         rows = [(name, f"{sigma:.1f}") for name, sigma in sorted(document["too_weak"].items())]
-        yield paragraph("Not hidden, for they do not show as strongly as was asked at this camera:")
+        yield paragraph("Not hidden in a truth where they do not show as strongly as was asked at this camera:")
         yield html.table(("kind", "sigma at its most"), rows)
+    if document["no_amount"]:
+        kinds = ", ".join(document["no_amount"])
+        yield paragraph(f"Not hidden in a truth where no amount came near the asked strength: {kinds}.")
 
 
 def _row(row: Document) -> tuple[str, ...]:

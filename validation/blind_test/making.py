@@ -30,16 +30,16 @@ from validation.blind_test.folders import (
     INDEX,
     MODEL,
     SETS,
-    WEAK,
     Entry,
     Index,
     read_index,
     read_json,
     write_whole,
 )
+from validation.blind_test.left_out import leave_out, left_out
 from validation.blind_test.scenes import Light, Scene, mean_of, write_images
 from validation.blind_test.seals import Answer, Hiding, seal
-from validation.blind_test.strength import LEAST_SIGMA, Halves, NotReached, sigma_beside, sigma_of
+from validation.blind_test.strength import LEAST_SIGMA, Halves, NoAmount, NotReached, sigma_beside, sigma_of
 from validation.blind_test.truths import Counts, Kinds, Planned, camera_of, planned, surroundings_of, truth_of
 from validation.dataset.folder import read_dataset, write_sums
 from validation.dataset.simulation_plan import Plan
@@ -70,7 +70,9 @@ class Asked:
     """Whether the strength that is left beside each effect of the catalogue goes into the answer."""
 
     def __post_init__(self) -> None:
-        """Refuse a strength that nobody could see."""
+        """Refuse a strength that nobody could see, and one that is no number."""
+        if not np.isfinite(self.sigma):
+            raise InputError("--sigma", self.sigma, f"a number, at least {LEAST_SIGMA:g}", "20 is the usual one")
         if self.counts.sets > self.counts.nothing and not self.sigma >= LEAST_SIGMA:
             allowed = f"at least {LEAST_SIGMA:g}"
             mend = f"{self.sigma:g} sigma are less than this camera can show beside {len(blind.KINDS)} other kinds"
@@ -103,7 +105,7 @@ def prepared(asked: Asked) -> Begun:
     Raises InputError where the folder has other sets, and where there is no kind of a sort that is asked for.
     """
     plan = planned(asked.counts, asked.seed)
-    kinds = _kinds(asked, plan)
+    kinds = _kinds(asked)
     return Begun(asked, _index(asked, plan), plan, kinds)
 
 
@@ -170,17 +172,20 @@ def _make_one(asked: Asked, scene: Scene, one: Planned, kinds: Kinds) -> None:
 def _hidden(
     asked: Asked, scene: Scene, one: Planned, kinds: Kinds, beside: Sequence[str]
 ) -> tuple[blind.Hidden, Light, Halves]:
-    """The next kind that shows as strongly as was asked."""
-    weak = weak_kinds(asked.folder)
-    while (name := kinds.next(one.outside, beside)) is not None:
+    """The next kind that shows as strongly as was asked; what does not is left out of this truth, not of others."""
+    without = left_out(asked.folder, one.truth)
+    while (name := kinds.next(one.outside, beside, without)) is not None:
         try:
             return scene.hide(name, one.seed + len(beside))
         except NotReached as reason:
-            kinds.drop(name)
-            weak[name] = reason.sigma
-            write_whole(asked.folder / ANSWERS / WEAK, weak)
-    reached = ", ".join(f"{name} {sigma:.1f}" for name, sigma in weak.items())
-    mend = f"at their most, and as far as amounts were found, kinds show by (sigma): {reached or 'none is left'}"
+            without[name] = reason.sigma
+        except NoAmount:
+            without[name] = None
+        leave_out(asked.folder, one.truth, without)
+    weak = ", ".join(f"{kind} {sigma:.1f}" for kind, sigma in without.items() if sigma is not None)
+    tried = ", ".join(kind for kind, sigma in without.items() if sigma is None)
+    mend = f"in truth {one.truth + 1} kinds show at their most by (sigma): {weak or 'none is left'}"
+    mend += f"; no amount was found for {tried}" if tried else ""
     raise InputError("--sigma", asked.sigma, "a strength that the declared camera can see", mend)
 
 
@@ -229,24 +234,26 @@ def _answers(folder: Path) -> Iterator[Answer]:
         yield Answer.model_validate(read_json(path, path.name, "an answer", "make the sets anew")["answer"])
 
 
-def weak_kinds(folder: Path) -> dict[str, float]:
-    """Kinds that do not show as strongly as was asked, with the sigma that they have at their most."""
-    path = folder / ANSWERS / WEAK
-    return dict(read_json(path, WEAK, "sigma by kind", "remove it")) if path.exists() else {}
-
-
-def _kinds(asked: Asked, plan: Sequence[Planned]) -> Kinds:
+def _kinds(asked: Asked) -> Kinds:
     """The kinds to choose from, with what sets that are there have taken."""
     kinds = Kinds(asked.kinds, asked.seed)
-    for name in weak_kinds(asked.folder):
-        kinds.drop(name)
     for answer in _answers(asked.folder):
         if (asked.folder / SETS / answer.id).is_dir():
             for one in answer.hidden:
                 kinds.took(one.kind)
-    for outside in {one.outside for one in plan if one.count}:
-        if not kinds.has(outside):
-            where = "outside of" if outside else "in"
-            allowed = f"at least one kind {where} the catalogue that is strong enough"
-            raise InputError("--kinds", ", ".join(asked.kinds), allowed, "name others")
+    _check_kinds(asked, kinds)
     return kinds
+
+
+def _check_kinds(asked: Asked, kinds: Kinds) -> None:
+    """Raises InputError where a sort of set that is asked for has no kind."""
+    names, counts = ", ".join(asked.kinds), asked.counts
+    if not kinds.has(False) and counts.one + counts.two:
+        mend = f"{names} lie outside of the catalogue: --outside {counts.sets} asks for nothing else"
+        raise InputError("--kinds", names, "at least one kind in the catalogue", mend)
+    if not kinds.has(True) and counts.outside:
+        mend = f"{names} lie in the catalogue: leave --outside out, or name others"
+        raise InputError("--kinds", names, "at least one kind outside of the catalogue", mend)
+    if counts.two and not kinds.has_two():
+        mend = "two hidden effects of one group could not be told apart: name kinds of another group, too"
+        raise InputError("--kinds", names, "kinds of two groups, for --two", mend)

@@ -14,7 +14,7 @@ from validation.blind_test.folders import read_index
 from validation.blind_test.groups import GROUPS, group_of
 from validation.blind_test.judged_by import judged_by
 from validation.blind_test.judged_by import sentence as said_by
-from validation.blind_test.making import weak_kinds
+from validation.blind_test.left_out import no_amounts, weak_kinds
 from validation.blind_test.marks import Marked, marked
 from validation.blind_test.records import maps_path
 from validation.blind_test.table import Confused, Row, table
@@ -43,6 +43,7 @@ def score(folders: Sequence[Path]) -> dict[str, Any]:
         "misses": [one.document() for one in first if one.is_missed],
         "marks": [one.document() for one in sets],
         "too_weak": _weak(folders),
+        "no_amount": sorted({kind for folder in folders for kind in no_amounts(folder)}),
         "seconds": {
             "made": _spread(one.answer.seconds for one in sets),
             "diagnosed": _spread(one.record["seconds"] for one in sets if one.record["first_of_light"]),
@@ -84,7 +85,7 @@ def _group(one: Marked) -> str:
 def _weak(folders: Sequence[Path]) -> dict[str, float]:
     found: dict[str, float] = {}
     for folder in folders:
-        found |= weak_kinds(folder)
+        found |= {kind: min(sigma, found.get(kind, sigma)) for kind, sigma in weak_kinds(folder).items()}
     return found
 
 

@@ -17,8 +17,7 @@ def made(document: Document) -> Iterator[str]:
     """What was made, and what comes next."""
     yield f"{document['folder']}: {document['sets']} sets, their answers sealed"
     yield f"root of all seals: {document['root']} (note it: score prints it, too)"
-    if document["too_weak"]:
-        yield weak(document["too_weak"])
+    yield from kinds_left_out(document)
     yield f"next: luxloop blind diagnose {document['folder']}, then luxloop blind score {document['folder']}"
 
 
@@ -55,8 +54,7 @@ def scored(document: Document) -> Iterator[str]:
         yield from table(heads, [_miss(one) for one in document["misses"][:MISSES]])
         if len(document["misses"]) > MISSES:
             yield f"... and {len(document['misses']) - MISSES} more: --page shows all of them"
-    if document["too_weak"]:
-        yield weak(document["too_weak"])
+    yield from kinds_left_out(document)
     for words, name in (("to make a set", "made"), ("to diagnose one", "diagnosed"),
                         ("to diagnose another one of its light", "diagnosed_again")):  # fmt: skip
         if spread := document["seconds"][name]:
@@ -75,10 +73,14 @@ def not_checked(sets: int) -> str:
     return f"data of {sets} sets are not there, only their records: not checked."
 
 
-def weak(sigma_of: Mapping[str, float]) -> str:
-    """Kinds that the camera cannot see as strongly as was asked."""
-    kinds = ", ".join(f"{name} {sigma:.1f}" for name, sigma in sorted(sigma_of.items()))
-    return f"not hidden, for they do not show as strongly as was asked (sigma at their most): {kinds}"
+def kinds_left_out(document: Document) -> Iterator[str]:
+    """Kinds that were not hidden in some truth, and why."""
+    if document["too_weak"]:
+        kinds = ", ".join(f"{name} {sigma:.1f}" for name, sigma in sorted(document["too_weak"].items()))
+        yield f"not hidden in a truth where they do not show as strongly as was asked (sigma at their most): {kinds}"
+    if document["no_amount"]:
+        kinds = ", ".join(document["no_amount"])
+        yield f"not hidden in a truth where no amount came near the asked strength: {kinds}"
 
 
 def found(row: Document) -> tuple[str, str]:

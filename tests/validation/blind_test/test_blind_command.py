@@ -60,7 +60,11 @@ def plan(tmp_path: Path) -> Path:
     [
         (("make", "out", "--sigma", "2"), "2 sigma are less than this camera can show"),
         (("make", "out", "--kinds", "dusk"), "did you mean dust?"),
-        (("make", "out", "--kinds", "dust", "--sets", "2"), "in the catalogue"),
+        (("make", "out", "--sigma", "inf"), "a number, at least 5"),
+        (("make", "out", "--sigma", "nan", "--nothing", "8"), "a number, at least 5"),
+        (("make", "out", "--kinds", "dust", "--sets", "1"), "dust lie outside of the catalogue: --outside 1"),
+        (("make", "out", "--kinds", "binning", "--sets", "1", "--outside", "1"), "leave --outside out"),
+        (("make", "out", "--kinds", "clipped_pupil,binning", "--sets", "2", "--two", "1"), "kinds of two groups"),
         (("make", "out", "--sets", "3", "--nothing", "4"), "--outside + --two + --nothing"),
         (("make", "full"), "an empty folder"),
         (("make", "full/notes.txt"), "an empty folder"),
@@ -182,7 +186,7 @@ def test_a_blind_test_over_real_processes(settings: Settings, plan: Path, tmp_pa
     assert made.returncode == 0, made.stderr
     document = json.loads(made.stdout)
     root = json.loads((tmp_path / "out" / "blind.json").read_text())["root"]
-    assert document == {"folder": "out", "sets": 2, "root": root, "too_weak": {}}
+    assert document == {"folder": "out", "sets": 2, "root": root, "too_weak": {}, "no_amount": []}
     for path in (tmp_path / "out" / ANSWERS).glob("set-*.json"):
         (hidden,) = json.loads(path.read_text())["answer"]["hidden"]
         assert hidden["sigma"] == pytest.approx(12.0, rel=0.1)
