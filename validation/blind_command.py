@@ -100,7 +100,7 @@ def diagnose(
     from validation.blind_test import told
     from validation.blind_test.alone import alone
     from validation.blind_test.folders import read_index
-    from validation.blind_test.judging import Judge, chosen_model
+    from validation.blind_test.judging import Judge, chosen_model, not_made
     from validation.comparing import NULLS, Solver
 
     settings, index = load_settings(router=router), read_index(folder)
@@ -114,9 +114,9 @@ def diagnose(
         chosen_from = tuple(name.strip() for name in (among or "").split(",") if name.strip())
         judge = Judge(folder, chosen, predictor, known, solver, settings.cache_dir / NULLS, chosen_from)
         verdicts.update(str(record["verdict"]) for record in judge.verdicts(index, heard))
-    judged = sum(verdicts.values())
+    judged, missing = sum(verdicts.values()), len(not_made(folder, index))
     document = {
-        "folder": str(folder), "judged": judged, "before": len(index.sets) - judged,
+        "folder": str(folder), "judged": judged, "before": len(index.sets) - judged - missing, "not_made": missing,
         "verdicts": dict(verdicts.most_common()),
     }  # fmt: skip
     typer.echo(json.dumps(document) if as_json else "\n".join(told.judged(document)))

@@ -120,14 +120,14 @@ class Judge:
     def verdicts(
         self, index: Index, heard: Callable[[int, int, str], None] = lambda *_: None
     ) -> Iterator[dict[str, Any]]:
-        """One for each set that has none yet, on record before it is yielded; sets of one light after each other.
+        """One for each set that is made and has none, on record before it is yielded; those of a light together.
 
         `heard` is told how many of how many have one, and which is looked at. Raises InputError where verdicts were
         changed or taken away, and for a set whose seal was opened.
         """
         refuse_opened(self.folder, index)
-        chain = chain_of(self.folder, index)
-        order = sorted(index.sets, key=lambda one: (one.light, one.id))
+        chain, missing = chain_of(self.folder, index), not_made(self.folder, index)
+        order = sorted((one for one in index.sets if one.id not in missing), key=lambda one: (one.light, one.id))
         shared = Shared()
         for number, one in enumerate(order):
             if one.light != shared.light:
@@ -165,6 +165,11 @@ class Judge:
         placed = chain.added(record)
         write_whole(record_path(self.folder, one.id), placed)
         return placed
+
+
+def not_made(folder: Path, index: Index) -> list[str]:
+    """The sets that an unfinished `make` has still to make; of a whole folder none, for there a gap is damage."""
+    return [] if index.root is not None else [one.id for one in index.sets if not (folder / SETS / one.id).is_dir()]
 
 
 def chosen_model(folder: Path, index: Index, name: str | None) -> Model:

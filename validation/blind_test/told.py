@@ -26,6 +26,9 @@ def judged(document: Document) -> Iterator[str]:
     yield f"{document['folder']}: {document['judged']} verdicts put on record, {document['before']} were there"
     if document["verdicts"]:
         yield ", ".join(f"{name} {count}" for name, count in document["verdicts"].items())
+    if document["not_made"]:
+        again = f"repeat the `luxloop blind make {document['folder']} ...` that began them, then diagnose again"
+        yield f"{document['not_made']} sets are not made yet: {again}"
     yield f"next: luxloop blind score {document['folder']}"
 
 
