@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import shutil
+from collections.abc import Sequence
 from pathlib import Path
 
 from luxloop.errors import InputError
@@ -50,13 +51,17 @@ def keep(run: Path, into: Path) -> int:
     return len(judged)
 
 
-def main() -> None:
-    """Copy them."""
+def main(argv: Sequence[str] | None = None) -> None:
+    """Copy them; exit code 2 and a sentence where that cannot be."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("run", type=Path)
     parser.add_argument("into", type=Path)
-    asked = parser.parse_args()
-    print(f"{asked.into}: {keep(asked.run, asked.into)} sets with verdicts")
+    asked = parser.parse_args(argv)
+    try:
+        kept = keep(asked.run, asked.into)
+    except InputError as error:
+        parser.error(str(error))
+    print(f"{asked.into}: {kept} sets with verdicts")
 
 
 if __name__ == "__main__":

@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
 
 from luxloop import __version__
+from luxloop.errors import InputError
 from validation.blind_test.folders import read_index
 from validation.blind_test.groups import GROUPS, group_of
 from validation.blind_test.judged_by import judged_by
@@ -66,14 +68,26 @@ def sentence(rows: Sequence[Row], sets: int, by: str) -> str:
 
 
 def maps_of(misses: Iterable[dict[str, Any]]) -> dict[str, NDArray[np.float64]]:
-    """Residuals in sigma of what was missed, by "FOLDER/ID/SHOT/z" and "/z_with"."""
+    """Residuals in sigma of what was missed, by "FOLDER/ID/SHOT/z" and "/z_with".
+
+    Raises InputError for a file that is damaged.
+    """
     found: dict[str, NDArray[np.float64]] = {}
     for one in misses:
         path = maps_path(Path(one["folder"]), one["id"])
         if path.exists():
-            with np.load(path, allow_pickle=False) as maps:
-                found |= {f"{one['folder']}/{one['id']}/{name}": maps[name].astype(np.float64) for name in maps}
+            before = f"{one['folder']}/{one['id']}"
+            found |= {f"{before}/{name}": array for name, array in _maps(path, one["id"]).items()}
     return found
+
+
+def _maps(path: Path, name: str) -> dict[str, NDArray[np.float64]]:
+    try:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as maps:
+            return {shot: maps[shot].astype(np.float64) for shot in maps}
+    except (OSError, ValueError, EOFError, BadZipFile, AttributeError, TypeError) as error:
+        mend = "remove the file: the page goes without, the score does not need it"
+        raise InputError(f"{name}: residuals", f"{path.name}: {error}", "maps of diagnose", mend) from None
 
 
 def _group(one: Marked) -> str:

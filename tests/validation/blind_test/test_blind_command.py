@@ -74,6 +74,7 @@ def plan(tmp_path: Path) -> Path:
         (("measure", "sealed", "out"), "only verdicts that cannot tell effects apart"),
         (("score", "nowhere"), "luxloop blind make FOLDER makes one"),
         (("score", "full"), "luxloop blind make FOLDER makes one"),
+        (("score", "full/*/"), "`python -m benchmarks.blind_records` adds some"),
         (("score", "sealed"), "luxloop blind diagnose sealed comes first"),
         (("score", "sealed", "--page", "page.txt"), ".html"),
     ],

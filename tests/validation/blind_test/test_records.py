@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.blind_records import keep
+from benchmarks.blind_records import keep, main
 from luxloop.errors import InputError
 from tests.validation.blind_test.pretend import answer, bound_folder_of, chained, folder_of, hiding, record
 from validation.blind_test.folders import ANSWERS, VERDICTS, write_whole
@@ -33,6 +33,14 @@ def test_what_has_a_verdict_is_kept_and_counts_the_same(tmp_path: Path) -> None:
     other = folder_of(tmp_path / "other", (first, record("nothing_visible")))
     with pytest.raises(InputError, match="records of this run"):
         keep(other, kept)
+
+
+def test_the_command_says_what_cannot_be(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Exit code 2 and the sentence of the error, no traceback."""
+    with pytest.raises(SystemExit) as end:
+        main([str(tmp_path / "nowhere"), str(tmp_path / "kept")])
+    assert end.value.code == 2
+    assert "luxloop blind make FOLDER makes one" in capsys.readouterr().err
 
 
 def test_a_run_without_verdicts_keeps_nothing(tmp_path: Path) -> None:

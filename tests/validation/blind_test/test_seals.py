@@ -15,7 +15,7 @@ from tests.validation.blind_test.pretend import answer, change, change_answer, f
 from validation.blind_test import told
 from validation.blind_test.folders import ANSWERS, INDEX, SEAL, SETS, VERDICTS, read_index
 from validation.blind_test.marks import marked
-from validation.blind_test.scoring import score
+from validation.blind_test.scoring import maps_of, score
 from validation.blind_test.seals import seal_of
 
 SET = answer("set-1", hiding("vignetting"))
@@ -112,6 +112,26 @@ def test_verdicts_of_another_version(folder: Path, changes: dict[str, str]) -> N
     with pytest.raises(InputError, match="a verdict of this version") as error:
         score([folder])
     assert error.value.field == "set-1: verdict"
+
+
+@pytest.mark.parametrize("changes", [
+    {"structure": None}, {"structure": {}}, {"set": []}, {"set": "vignetting"}, {"effects": [{"name": "vignetting"}]},
+    {"added": [1]}, {"solver": {"method": "twin"}}, {"seconds": "many"}, {"verdict": None}, {"known": None},
+])  # fmt: skip
+def test_a_damaged_verdict(folder: Path, changes: dict[str, Any]) -> None:
+    """Each ended with a traceback of the line that read it."""
+    change(folder / VERDICTS / "set-1.json", **changes)
+    with pytest.raises(InputError, match="damaged") as error:
+        score([folder])
+    assert error.value.field.startswith("set-1: verdict")
+
+
+@pytest.mark.parametrize("data", [b"", b"no maps", b"PK\x03\x04 half of them", b"\x93NUMPY"])
+def test_damaged_residuals(folder: Path, data: bytes) -> None:
+    """The page says which file it is."""
+    (folder / VERDICTS / "set-1.npz").write_bytes(data)
+    with pytest.raises(InputError, match=r"set-1\.npz"):
+        maps_of([{"folder": str(folder), "id": "set-1"}])
 
 
 @pytest.mark.parametrize("changes", [
