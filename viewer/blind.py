@@ -66,8 +66,8 @@ def _table(document: Document) -> Iterator[str]:
     heads = ("quantity", "target", "hits", "sets", "found", "95 % interval", "")
     caption = (
         "Met: what was found reaches the target. Shown: so does its whole interval (Clopper and Pearson; of alarms"
-        " also whole truths drawn again). What is hidden comes of a forward model of its own, its answers sealed"
-        " before the diagnosis."
+        " also whole truths drawn again; of a mean size 1.96 standard errors). What is hidden comes of a forward"
+        " model of its own, its answers sealed before the diagnosis."
     )
     yield html.table(heads, [_row(row) for row in document["table"]], caption, words=2, ending=1)
     if document["without_verdict"]:
@@ -89,7 +89,7 @@ def _row(row: Document) -> tuple[str, ...]:
         value = f"{100.0 * row['value']:.1f} %"
         between = f"{100.0 * row['low']:.1f} to {100.0 * row['high']:.1f} %"
     elif row["value"] is not None:
-        value, between = f"{row['value']:.2f}", f"{row['low']:.2f} to {row['high']:.2f}"
+        value, between = f"{row['value']:.2f}", f"{row['low']:.2f} to {row['high']:.2f} ({row['interval']})"
     return (row["quantity"], row["target"], f"{row['hits']:g}", str(row["of"]), value, between, WORDS[row["said"]])
 
 

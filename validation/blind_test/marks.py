@@ -18,6 +18,7 @@ from validation.blind_test.folders import Index, read_index
 from validation.blind_test.groups import group_of
 from validation.blind_test.records import read_record, record_path
 from validation.blind_test.seals import Answer, has_data, opened
+from validation.diagnose.held_out import Change
 from validation.effects.confounding import TOLD_APART
 
 NAMING = ("one_effect", "cannot_tell_apart")
@@ -145,13 +146,16 @@ class Marked:
 
     @cached_property
     def held_out(self) -> tuple[bool | None, list[bool]]:
-        """Whether the held-out error falls with a right effect; the same of each tried one outside of its group."""
+        """Whether the held-out error falls with a right effect; the same of each tried one outside of its group.
+
+        A fall is one beyond twice its own error, as the diagnosis counts it, where the record has that error.
+        """
         falls: bool | None = None
         others = []
         for one in self.record["effects"]:
             if one["held_out_before"] is None:
                 continue
-            fell = float(one["held_out_after"]) < float(one["held_out_before"])
+            fell = _fell(one)
             if one["name"] in self.right:
                 falls = fell
             elif not self._is_of(one["name"], self.right):
@@ -179,6 +183,14 @@ class Marked:
             "light": self.answer.light, "data_checked": self.is_checked,
             "seconds_made": self.answer.seconds, "seconds_diagnosed": self.record["seconds"],
         }  # fmt: skip
+
+
+def _fell(effect: Mapping[str, Any]) -> bool:
+    """Whether the held-out error falls with an effect, beyond its error where there is one."""
+    change, error = effect.get("held_out_density_change"), effect.get("held_out_density_error")
+    if change is None or error is None:
+        return float(effect["held_out_after"]) < float(effect["held_out_before"])
+    return Change(float(change), float(error)).falls
 
 
 def marked(folders: Sequence[Path]) -> list[Marked]:

@@ -12,8 +12,8 @@ from validation.blind_test.folders import VERDICTS, of_this_version, read_json
 FIELDS: Mapping[str, tuple[type, ...]] = {
     "id": (str,), "verdict": (str,), "sentence": (str,), "seal": (str,), "dataset_sha256": (str,),
     "model_sha256": (str,),
-    "set": (list,), "groups": (list,), "effects": (list,), "added": (list,), "among": (list,), "known": (int,),
-    "structure": (dict,), "solver": (dict,), "seconds": (int, float), "first_of_light": (bool,),
+    "shots": (list,), "set": (list,), "groups": (list,), "effects": (list,), "added": (list,), "among": (list,),
+    "known": (int,), "structure": (dict,), "solver": (dict,), "seconds": (int, float), "first_of_light": (bool,),
     "scores_p": (int, float, type(None)), "next_measurement": (dict, type(None)),
 }  # fmt: skip
 """Of a record, what marks and table read."""

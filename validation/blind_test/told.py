@@ -91,7 +91,7 @@ def found(row: Document) -> tuple[str, str]:
     if row["value"] is None:
         return "-", "-"
     if row["unit"] != "share":
-        return f"{row['value']:.2f}", f"{row['low']:.2f} to {row['high']:.2f}"
+        return f"{row['value']:.2f}", f"{row['low']:.2f} to {row['high']:.2f} ({row['interval']})"
     return f"{100.0 * row['value']:.1f} %", f"{100.0 * row['low']:.1f} to {100.0 * row['high']:.1f} %"
 
 

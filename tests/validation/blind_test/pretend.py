@@ -53,7 +53,7 @@ def record(verdict: str, *named: str, **changes: Any) -> dict[str, Any]:
         "effects": [], "added": [{"name": name} for name in named[:1]], "seconds": 30.0, "first_of_light": True,
         "structure": {"p": 0.001}, "scores_p": 0.001, "dataset_sha256": "",
         "model_sha256": find_model("paper").sha256, "seal": "", "id": "", "next_measurement": None,
-        "known": 32, "among": [],
+        "known": 32, "among": [], "shots": [{"id": f"shot-{k}"} for k in range(6)],
         "solver": {"method": "twin", "histories": None, "seed": 1},
     } | changes  # fmt: skip
 

@@ -39,6 +39,14 @@ NAMES = sorted(path.stem for path in (FIXED / VERDICTS).glob("*.json"))
 ANEW = ("set-4", "set-5")
 """Those that are diagnosed anew: layers swapped, nothing hidden."""
 
+REDEFINED = {
+    "held-out error falls with the true effect",
+    "held-out error does not fall with another group's", "sets without a held-out fall with another group's",
+    "diagnosis of six images in 60 s or less", "six images by the twin in 60 s or less",
+    "six images by Monte Carlo in 30 min or less",
+}  # fmt: skip
+"""Rows that count something else since the score was put on record: a fall beyond its error, sets, six images."""
+
 
 @pytest.fixture
 def fixed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
@@ -61,9 +69,11 @@ def test_the_seals_open_and_the_table_is_the_recorded_one(fixed: Path) -> None:
     found, before = json.loads(json.dumps(score([fixed]))), recorded()
     assert found["sets"] == len(NAMES) == before["sets"]
     assert found["not_checked"] == 0
-    assert len(found["table"]) == len(before["table"])
-    for row, old in zip(found["table"], before["table"], strict=True):
-        for name, value in old.items():
+    rows, olds = ({row["quantity"]: row for row in one["table"]} for one in (found, before))
+    assert rows.keys() - REDEFINED == olds.keys() - REDEFINED
+    for quantity in olds.keys() - REDEFINED:
+        row = rows[quantity]
+        for name, value in olds[quantity].items():
             assert row[name] == (pytest.approx(value, rel=1e-9) if isinstance(value, float) else value)
     assert found["confusion"] == before["confusion"]
     told = ("id", "truth", "said", "verdict", "set", "missed", "sigma", "sigma_rival", "sentence")
