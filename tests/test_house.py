@@ -82,6 +82,15 @@ def test_every_command_and_view_can_be_loaded() -> None:
         assert all(function.__doc__ for function in loaded.values())
 
 
+def test_the_blind_truth_may_import_no_other_module_of_validation() -> None:
+    """Its contract names every one of them: a new module is forbidden from its first day."""
+    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"]
+    (contract,) = [one for one in contracts if one.get("source_modules") == ["validation.blind"]]
+    there = {path.stem for path in (ROOT / "validation").iterdir() if path.suffix == ".py" or list(path.glob("*.py"))}
+    assert {f"validation.{name}" for name in there - {"__init__", "blind"}} <= set(contract["forbidden_modules"])
+    assert set(PACKAGES) - {"validation"} <= set(contract["forbidden_modules"])
+
+
 def test_docker_is_no_package() -> None:
     """An `__init__.py` there would hide an installed docker SDK."""
     assert not (ROOT / "docker" / "__init__.py").exists()

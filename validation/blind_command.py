@@ -57,6 +57,8 @@ def make(
     """Make data sets that hide something, by a forward model of their own; the answers are sealed."""
     from luxloop.model_file import find_model
     from validation.blind_test import making, told
+    from validation.blind_test.alone import alone
+    from validation.blind_test.left_out import no_amounts, weak_kinds
     from validation.blind_test.truths import Counts
     from validation.dataset.simulation_plan import paper_plan, read_plan
 
@@ -65,16 +67,24 @@ def make(
         paper_plan() if plan is None else read_plan(plan), find_model(model),
         tuple(name.strip() for name in (kinds or "").split(",") if name.strip()), pixels, histories, rivals,
     )  # fmt: skip
-    begun = making.begin(asked)
-    with workers(load_settings(router=router), no_local) as (predictor, known), bar(as_json or quiet) as heard:
-        making.make(begun, predictor, known, heard)
-    document = {"folder": str(folder), "sets": len(begun.plan), "too_weak": making.weak_kinds(folder)}
+    making.prepared(asked)  # says at once what cannot be, before there is a folder
+    with alone(folder, "make"):
+        begun = making.begin(asked)
+        with workers(load_settings(router=router), no_local) as (predictor, known), bar(as_json or quiet) as heard:
+            index = making.make(begun, predictor, known, heard)
+    document = {
+        "folder": str(folder),
+        "sets": len(index.sets),
+        "root": index.root,
+        "too_weak": weak_kinds(folder),
+        "no_amount": no_amounts(folder),
+    }
     typer.echo(json.dumps(document) if as_json else "\n".join(told.made(document)))
 
 
 def diagnose(
     folder: Folder,
-    model: Model = "paper",
+    model: Annotated[str | None, typer.Option(help="Only that of the sets, which is the default.")] = None,
     twin: Annotated[bool, typer.Option("--twin", help="By the twin alone, whose own error shows, too.")] = False,
     histories: Histories = HISTORIES,
     seed: Annotated[int, typer.Option(min=0, max=10**15, help="Of the Monte Carlo and the simulated noise.")] = 1,
@@ -87,22 +97,26 @@ def diagnose(
     quiet: Quiet = False,
 ) -> None:
     """Diagnose every blind set that has no verdict yet, and put it on record; no seal is opened."""
-    from luxloop.model_file import find_model
     from validation.blind_test import told
+    from validation.blind_test.alone import alone
     from validation.blind_test.folders import read_index
-    from validation.blind_test.judging import Judge
+    from validation.blind_test.judging import Judge, chosen_model, not_made
     from validation.comparing import NULLS, Solver
 
     settings, index = load_settings(router=router), read_index(folder)
-    chosen, solver = find_model(model), Solver(None if twin else histories, seed)
+    chosen, solver = chosen_model(folder, index, model), Solver(None if twin else histories, seed)
     verdicts: Counter[str] = Counter()
-    with workers(settings, no_local) as (predictor, known), bar(as_json or quiet) as heard:
+    with (
+        alone(folder, "diagnose"),
+        workers(settings, no_local) as (predictor, known),
+        bar(as_json or quiet) as heard,
+    ):
         chosen_from = tuple(name.strip() for name in (among or "").split(",") if name.strip())
         judge = Judge(folder, chosen, predictor, known, solver, settings.cache_dir / NULLS, chosen_from)
         verdicts.update(str(record["verdict"]) for record in judge.verdicts(index, heard))
-    judged = sum(verdicts.values())
+    judged, missing = sum(verdicts.values()), len(not_made(folder, index))
     document = {
-        "folder": str(folder), "judged": judged, "before": len(index.sets) - judged,
+        "folder": str(folder), "judged": judged, "before": len(index.sets) - judged - missing, "not_made": missing,
         "verdicts": dict(verdicts.most_common()),
     }  # fmt: skip
     typer.echo(json.dumps(document) if as_json else "\n".join(told.judged(document)))

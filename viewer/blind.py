@@ -66,16 +66,21 @@ def _table(document: Document) -> Iterator[str]:
     heads = ("quantity", "target", "hits", "sets", "found", "95 % interval", "")
     caption = (
         "Met: what was found reaches the target. Shown: so does its whole interval (Clopper and Pearson; of alarms"
-        " also whole truths drawn again). What is hidden comes of a forward model of its own, its answers sealed"
-        " before the diagnosis."
+        " also whole truths drawn again; of a mean size 1.96 standard errors). What is hidden comes of a forward"
+        " model of its own, its answers sealed before the diagnosis."
     )
     yield html.table(heads, [_row(row) for row in document["table"]], caption, words=2, ending=1)
     if document["without_verdict"]:
         yield paragraph(f"{document['without_verdict']} sets have no verdict and do not count; their seals are shut.")
+    if document["not_checked"]:
+        yield paragraph(f"Data of {document['not_checked']} sets are not there, only their records: not checked.")
     if document["too_weak"]:
         rows = [(name, f"{sigma:.1f}") for name, sigma in sorted(document["too_weak"].items())]
-        yield paragraph("Not hidden, for they do not show as strongly as was asked at this camera:")
+        yield paragraph("Not hidden in a truth where they do not show as strongly as was asked at this camera:")
         yield html.table(("kind", "sigma at its most"), rows)
+    if document["no_amount"]:
+        kinds = ", ".join(document["no_amount"])
+        yield paragraph(f"Not hidden in a truth where no amount came near the asked strength: {kinds}.")
 
 
 def _row(row: Document) -> tuple[str, ...]:
@@ -84,7 +89,7 @@ def _row(row: Document) -> tuple[str, ...]:
         value = f"{100.0 * row['value']:.1f} %"
         between = f"{100.0 * row['low']:.1f} to {100.0 * row['high']:.1f} %"
     elif row["value"] is not None:
-        value, between = f"{row['value']:.2f}", f"{row['low']:.2f} to {row['high']:.2f}"
+        value, between = f"{row['value']:.2f}", f"{row['low']:.2f} to {row['high']:.2f} ({row['interval']})"
     return (row["quantity"], row["target"], f"{row['hits']:g}", str(row["of"]), value, between, WORDS[row["said"]])
 
 
@@ -200,7 +205,8 @@ def _set_rows(marks: Sequence[Document]) -> list[tuple[str, ...]]:
 
 
 def _provenance(document: Document) -> Iterator[str]:
-    rows = [("folders", ", ".join(document["folders"])), ("luxloop", document["versions"]["luxloop"]),
+    rows = [*((f"root of {folder}", root or "none: a set taken away would not be found")
+              for folder, root in document["roots"].items()), ("luxloop", document["versions"]["luxloop"]),
             ("predictions", ", ".join(document["solvers"])),
             ("effects to choose from", ", ".join(str(count) for count in document["among"]))]  # fmt: skip
     for name, words in (("made", "to make a set"), ("diagnosed", "to diagnose one")):

@@ -10,7 +10,8 @@ import pytest
 
 from tests.pages import Parsed, loads_nothing
 from tests.validation.blind_test.pretend import answer, folder_of, hiding, record
-from validation.blind_test.judging import maps_path, packed
+from validation.blind_test.judging import packed
+from validation.blind_test.records import maps_path
 from validation.blind_test.scoring import maps_of, score
 from viewer.blind import confusion_figure, draw, page_of
 from viewer.blind import maps_of as maps_of_set

@@ -1,9 +1,12 @@
 """A folder of blind sets: what lies where, and files that are written whole or not at all.
 
-FOLDER/blind.json            what was asked for, but for what is hidden; the sets by name, and which share a light
+FOLDER/blind.json            what was asked for, but for what is hidden; the sets by name and light, the root
+       model.toml            the model that the sets are made about, where it is none that luxloop ships
        sets/ID/              an ordinary data set, and seal.json: the hash of the answer
        answers/ID.json       salt and answer; nobody needs it before the score
        verdicts/ID.json      what the diagnosis said; ID.npz: the residuals that it left
+       chain.json            where the chain of verdicts ends
+       opened/ID.json        by which verdict the seal was opened
 """
 
 from __future__ import annotations
@@ -18,10 +21,15 @@ from pydantic import Field
 
 from luxloop import __version__
 from luxloop.errors import InputError
-from luxloop.words import Name, Words, parse
+from luxloop.model import Model
+from luxloop.model_file import find_model
+from luxloop.words import Name, Sha256, Words, parse
 
 SCHEMA: Literal["luxloop-blind/1"] = "luxloop-blind/1"
 INDEX, SETS, ANSWERS, VERDICTS, SEAL = "blind.json", "sets", "answers", "verdicts", "seal.json"
+CHAIN, OPENED, MODEL = "chain.json", "opened", "model.toml"
+WEAK, ASKED = "too-weak.json", "asked.json"
+"""Beside the answers: kinds that do not show as strongly as was asked; what was asked for."""
 
 
 class Entry(Words):
@@ -36,9 +44,12 @@ class Index(Words):
 
     schema_: Literal["luxloop-blind/1"] = Field(SCHEMA, alias="schema")
     version: str = Field(__version__, description="Of luxloop, which made the sets.")
-    model: str = Field("paper", description="The model that the verdicts begin with.")
+    model: str = Field("paper", description="The model that the verdicts begin with: a shipped one, or model.toml.")
+    model_sha256: Sha256 | None = Field(None, description="Its hash.")
     plan: str = Field(description="Name of the samples' plan.")
     sets: tuple[Entry, ...] = Field(min_length=1, max_length=100_000)
+    seals: dict[Name, Sha256] = Field(default_factory=dict, description="Of all sets, once all of them are made.")
+    root: Sha256 | None = Field(None, description="The hash of the seals; none: not all sets are made.")
 
     def text(self) -> str:
         """As it is written."""
@@ -52,12 +63,29 @@ def read_index(folder: Path) -> Index:
     no sample of one thing.
     """
     path = folder / INDEX
-    data = read_json(path, "FOLDER", f"a folder with a {INDEX}", "luxloop blind make FOLDER makes one")
-    if data.get("schema") != SCHEMA or data.get("version") != __version__:
+    mend = "luxloop blind make FOLDER makes one"
+    if "*" in str(folder):
+        mend = "no folder has such a name: where records are missing, `python -m benchmarks.blind_records` adds some"
+    data = read_json(path, "FOLDER", f"a folder with a {INDEX}", mend)
+    of_this_version(data, str(path), "sets")
+    return parse(Index, data, str(path))
+
+
+def model_of(folder: Path, index: Index) -> Model:
+    """The model that sets were made about. Raises InputError where it is gone or was changed."""
+    found = find_model(folder / MODEL if index.model == MODEL else index.model)
+    if index.model_sha256 not in (None, found.sha256):
+        mend = "take the luxloop that made the sets, or put the file back"
+        raise InputError(f"{folder.name}: model {index.model}", found.sha256, f"{index.model_sha256}", mend)
+    return found
+
+
+def of_this_version(data: Mapping[str, Any], field: str, what: str) -> None:
+    """Raises InputError for what another version wrote."""
+    if (data.get("schema"), data.get("version")) != (SCHEMA, __version__):
         found = f"{data.get('schema')}, luxloop {data.get('version')}"
         mend = "take the luxloop that made them, or make new ones"
-        raise InputError(str(path), found, f"sets of this version: {SCHEMA}, luxloop {__version__}", mend)
-    return parse(Index, data, str(path))
+        raise InputError(field, found, f"{what} of this version: {SCHEMA}, luxloop {__version__}", mend)
 
 
 def read_json(path: Path, field: str, allowed: str, mend: str) -> dict[str, Any]:

@@ -14,11 +14,12 @@ from typing import Any
 import numpy as np
 
 from luxloop.errors import InputError
-from luxloop.model_file import find_model
-from luxloop.words import parse
+from luxloop.words import parse, sha256_of
 from validation import blind
-from validation.blind_test.folders import INDEX, SETS, Entry, Index, read_index, write_whole
-from validation.blind_test.judging import read_record, record_path
+from validation.blind_test.alone import alone
+from validation.blind_test.bound import chain_of, check_root, close
+from validation.blind_test.folders import INDEX, MODEL, SETS, Entry, Index, model_of, read_index, write_whole
+from validation.blind_test.records import read_record, record_path
 from validation.blind_test.scenes import Lights, mean_of
 from validation.blind_test.seals import Answer, opened, seal
 from validation.blind_test.truths import Truth, camera_of, sample_of, truth_of
@@ -35,22 +36,40 @@ from validation.diagnose.next_measurement import EXPOSURES
 def measure(folder: Path, out: Path, heard: Callable[[int, int, str], None] = lambda *_: None) -> Index:
     """All further sets that are not there yet. `heard` is told how many of how many there are.
 
-    Raises InputError where no verdict asks for an image, where OUT has other sets, and as `seals.opened` does.
+    OUT grows where further verdicts ask for an image. Raises InputError where none does, where OUT has other sets,
+    and as `seals.opened` does.
     """
-    asking = [one for one in read_index(folder).sets if _proposal(folder, one.id) is not None]
+    asked = _asked(folder, out)
+    with alone(out, "measure", "OUT"):
+        if asked.model == MODEL:
+            write_whole(out / MODEL, (folder / MODEL).read_bytes())
+        write_whole(out / INDEX, asked.text())
+        for number, one in enumerate(asked.sets):
+            heard(number, len(asked.sets), one.id)
+            if not (out / SETS / one.id).is_dir():
+                _measure_one(folder, out, one, asked)
+        heard(len(asked.sets), len(asked.sets), "done")
+        return close(out, asked)
+
+
+def _asked(folder: Path, out: Path) -> Index:
+    """The sets whose verdicts propose an image: those that are in OUT, and others since."""
+    whole = read_index(folder)
+    check_root(folder, whole)
+    chain_of(folder, whole)
+    asking = [one for one in whole.sets if _proposal(folder, one.id) is not None]
     if not asking:
         mend = "only verdicts that cannot tell effects apart propose one (luxloop blind diagnose comes first)"
         raise InputError("FOLDER", str(folder), "verdicts that propose an image", mend)
-    index = read_index(folder).model_copy(update={"sets": tuple(asking)})
-    if (out / INDEX).exists() and read_index(out) != index:
+    index = whole.model_copy(update={"sets": tuple(asking), "seals": {}, "root": None})
+    if not (out / INDEX).exists():
+        return index
+    there = read_index(out)
+    if there.model_copy(update={"sets": index.sets, "seals": {}, "root": None}) != index or not (
+        set(there.sets) <= set(index.sets)
+    ):
         raise InputError("OUT", str(out), "an empty folder, or one that the same command began", "name another one")
-    write_whole(out / INDEX, index.text())
-    for number, one in enumerate(asking):
-        heard(number, len(asking), one.id)
-        if not (out / SETS / one.id).is_dir():
-            _measure_one(folder, out, one, index)
-    heard(len(asking), len(asking), "done")
-    return index
+    return index.model_copy(update={"seals": there.seals, "root": there.root if there.sets == index.sets else None})
 
 
 def _proposal(folder: Path, name: str) -> dict[str, Any] | None:
@@ -68,7 +87,7 @@ def _measure_one(folder: Path, out: Path, one: Entry, index: Index) -> None:
     sample = parse(Sample, _proposal(folder, one.id), "next_measurement.sample")
     frames = int(EXPOSURES) if sample.id in {each.id for each in dataset.manifest.samples} else 1
     count = len(dataset.manifest.shots)
-    truth = truth_of(int(answer.truth["number"]), find_model(index.model), count + 1, answer.seed)
+    truth = truth_of(int(answer.truth["number"]), model_of(out, index), count + 1, answer.seed)
     image, exposure_ms = taken(truth, dataset, sample, answer, frames)
     temporary = out / SETS / f".{one.id}"
     shutil.rmtree(temporary, ignore_errors=True)
@@ -112,5 +131,10 @@ def taken(truth: Truth, dataset: Dataset, sample: Sample, answer: Answer, frames
     dn_per_ms = float(lit.signal_dn.max() / lit.irradiance_per_mm2.max()) / lit.exposure_ms
     number = len(old)  # what a camera draws for each image, it draws anew for this one
     signal = blind.signals([light] * (number + 1), [lit.exposure_ms] * (number + 1), dn_per_ms, camera, hidden)[-1]
-    raw = blind.recorded([signal] * (number + frames), camera, hidden, truth.seed)[number:]
+    raw = blind.recorded([signal] * (number + frames), camera, hidden, noise_seed(answer, number))[number:]
     return np.mean(raw, axis=0), lit.exposure_ms
+
+
+def noise_seed(answer: Answer, number: int) -> int:
+    """Of the noise of a set's further image: its own, for sets may share a truth."""
+    return int(sha256_of({"seed": answer.seed, "id": answer.id, "image": number})[:12], 16)

@@ -18,8 +18,12 @@ from numpy.typing import NDArray
 
 from luxloop import __version__
 from luxloop.effect import EffectSpec
+from luxloop.errors import InputError
 from luxloop.model import Model
-from validation.blind_test.folders import SCHEMA, SETS, VERDICTS, Entry, Index, read_json, write_whole
+from luxloop.model_file import find_model
+from validation.blind_test.bound import Chain, chain_of, refuse_opened
+from validation.blind_test.folders import SCHEMA, SETS, Entry, Index, model_of, write_whole
+from validation.blind_test.records import maps_path, record_path
 from validation.blind_test.seals import seal_on
 from validation.comparing import Solver
 from validation.contrasts.structure import fit_layout, fit_projection, judged
@@ -116,21 +120,27 @@ class Judge:
     def verdicts(
         self, index: Index, heard: Callable[[int, int, str], None] = lambda *_: None
     ) -> Iterator[dict[str, Any]]:
-        """One for each set that has none yet, on record before it is yielded; sets of one light after each other.
+        """One for each set that is made and has none, on record before it is yielded; those of a light together.
 
-        `heard` is told how many of how many have one, and which is looked at.
+        `heard` is told how many of how many have one, and which is looked at. Raises InputError where verdicts were
+        changed or taken away, and for a set whose seal was opened.
         """
-        order = sorted(index.sets, key=lambda one: (one.light, one.id))
+        refuse_opened(self.folder, index)
+        chain, missing = chain_of(self.folder, index), not_made(self.folder, index)
+        order = sorted((one for one in index.sets if one.id not in missing), key=lambda one: (one.light, one.id))
         shared = Shared()
         for number, one in enumerate(order):
             if one.light != shared.light:
                 shared = Shared(one.light)
             heard(number, len(order), one.id)
             if not record_path(self.folder, one.id).exists():
-                yield self._verdict(one, shared)
+                record = self._verdict(one, shared, chain)
+                chain = Chain(record["number"], record["sha256"])
+                chain.write(self.folder)
+                yield record
         heard(len(order), len(order), "done")
 
-    def _verdict(self, one: Entry, shared: Shared) -> dict[str, Any]:
+    def _verdict(self, one: Entry, shared: Shared, chain: Chain) -> dict[str, Any]:
         sealed = seal_on(self.folder, one.id)  # of what is judged: a seal that comes later is no seal
         start = time.monotonic()
         dataset = read_dataset(self.folder / SETS / one.id)
@@ -152,24 +162,22 @@ class Judge:
             write_whole(maps_path(self.folder, one.id), packed(residuals_of(found)))
         else:  # the same as those of the first, and a thousand times
             record |= {"confounding": {"names": [], "cosines": []}, "scores": record["scores"][:1]}
-        write_whole(record_path(self.folder, one.id), record)
-        return record
+        placed = chain.added(record)
+        write_whole(record_path(self.folder, one.id), placed)
+        return placed
 
 
-def record_path(folder: Path, name: str) -> Path:
-    """Where the verdict on a set lies."""
-    return folder / VERDICTS / f"{name}.json"
+def not_made(folder: Path, index: Index) -> list[str]:
+    """The sets that an unfinished `make` has still to make; of a whole folder none, for there a gap is damage."""
+    return [] if index.root is not None else [one.id for one in index.sets if not (folder / SETS / one.id).is_dir()]
 
 
-def maps_path(folder: Path, name: str) -> Path:
-    """Where the residuals of a set lie."""
-    return folder / VERDICTS / f"{name}.npz"
-
-
-def read_record(folder: Path, name: str) -> dict[str, Any]:
-    """The verdict on a set. Raises InputError where there is none."""
-    path = record_path(folder, name)
-    return read_json(path, f"{name}: verdict", "a verdict on record", f"luxloop blind diagnose {folder}")
+def chosen_model(folder: Path, index: Index, name: str | None) -> Model:
+    """The model of the sets. Raises InputError for another one: the truths were drawn about this one."""
+    own = model_of(folder, index)
+    if name is not None and find_model(name).sha256 != own.sha256:
+        raise InputError("--model", name, f"the model of the sets, {index.model}", "leave --model out")
+    return own
 
 
 def residuals_of(found: Diagnosis) -> dict[str, NDArray[np.float16]]:

@@ -19,12 +19,27 @@ import numpy as np
 
 from luxloop.errors import InputError
 from luxloop.model import Model
+from luxloop.model_file import SHIPPED, find_model, to_toml
 from luxloop.words import sha256_of
 from validation import blind
-from validation.blind_test.folders import ANSWERS, INDEX, SETS, Entry, Index, read_index, read_json, write_whole
+from validation.blind_test.alone import LOCK
+from validation.blind_test.bound import close
+from validation.blind_test.folders import (
+    ANSWERS,
+    ASKED,
+    INDEX,
+    MODEL,
+    SETS,
+    Entry,
+    Index,
+    read_index,
+    read_json,
+    write_whole,
+)
+from validation.blind_test.left_out import leave_out, left_out
 from validation.blind_test.scenes import Light, Scene, mean_of, write_images
 from validation.blind_test.seals import Answer, Hiding, seal
-from validation.blind_test.strength import LEAST_SIGMA, Halves, NotReached, sigma_beside, sigma_of
+from validation.blind_test.strength import LEAST_SIGMA, Halves, NoAmount, NotReached, sigma_beside, sigma_of
 from validation.blind_test.truths import Counts, Kinds, Planned, camera_of, planned, surroundings_of, truth_of
 from validation.dataset.folder import read_dataset, write_sums
 from validation.dataset.simulation_plan import Plan
@@ -36,8 +51,6 @@ HISTORIES = 8_000_000
 """Of walks inside a chip, for each sample, in two halves: of six images the noise of a half was 0.4 of the camera's
 in the worst block, so that of both is below 0.3 (`python -m benchmarks.blind_light`)."""
 MOST_SEED = 10**15
-WEAK, ASKED = "too-weak.json", "asked.json"
-"""Beside the answers: kinds that do not show as strongly as was asked; what was asked for."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +70,9 @@ class Asked:
     """Whether the strength that is left beside each effect of the catalogue goes into the answer."""
 
     def __post_init__(self) -> None:
-        """Refuse a strength that nobody could see."""
+        """Refuse a strength that nobody could see, and one that is no number."""
+        if not np.isfinite(self.sigma):
+            raise InputError("--sigma", self.sigma, f"a number, at least {LEAST_SIGMA:g}", "20 is the usual one")
         if self.counts.sets > self.counts.nothing and not self.sigma >= LEAST_SIGMA:
             allowed = f"at least {LEAST_SIGMA:g}"
             mend = f"{self.sigma:g} sigma are less than this camera can show beside {len(blind.KINDS)} other kinds"
@@ -84,20 +99,32 @@ class Begun:
     kinds: Kinds
 
 
-def begin(asked: Asked) -> Begun:
-    """The folder, begun or to be gone on with. Nothing is traced yet.
+def prepared(asked: Asked) -> Begun:
+    """What would be begun or gone on with; nothing is written yet.
 
-    Raises InputError where it has other sets, and where there is no kind of a sort that is asked for.
+    Raises InputError where the folder has other sets, and where there is no kind of a sort that is asked for.
     """
     plan = planned(asked.counts, asked.seed)
-    kinds = _kinds(asked, plan)
+    kinds = _kinds(asked)
     return Begun(asked, _index(asked, plan), plan, kinds)
+
+
+def begin(asked: Asked) -> Begun:
+    """The folder, begun or to be gone on with. Nothing is traced yet. Raises InputError as `prepared` does."""
+    begun = prepared(asked)
+    write_whole(asked.folder / ANSWERS / ASKED, asked.document())
+    if begun.index.model == MODEL:
+        write_whole(asked.folder / MODEL, to_toml(asked.model))
+    write_whole(asked.folder / INDEX, begun.index.text())
+    return begun
 
 
 def make(
     begun: Begun, predictor: Predictor, known: Known, heard: Callable[[int, int, str], None] = lambda *_: None
-) -> None:
-    """All sets that are not there yet. `heard` is told how many of how many are there, and what is done.
+) -> Index:
+    """All sets that are not there yet, then the root of all; the index with it.
+
+    `heard` is told how many of how many are there, and what is done.
 
     Raises InputError where no kind that is left shows as strongly as was asked.
     """
@@ -113,6 +140,7 @@ def make(
         heard(number, len(plan), one.id)
         _make_one(asked, scene, one, kinds)
     heard(len(plan), len(plan), "done")
+    return close(asked.folder, begun.index)
 
 
 def _make_one(asked: Asked, scene: Scene, one: Planned, kinds: Kinds) -> None:
@@ -144,17 +172,20 @@ def _make_one(asked: Asked, scene: Scene, one: Planned, kinds: Kinds) -> None:
 def _hidden(
     asked: Asked, scene: Scene, one: Planned, kinds: Kinds, beside: Sequence[str]
 ) -> tuple[blind.Hidden, Light, Halves]:
-    """The next kind that shows as strongly as was asked."""
-    weak = weak_kinds(asked.folder)
-    while (name := kinds.next(one.outside, beside)) is not None:
+    """The next kind that shows as strongly as was asked; what does not is left out of this truth, not of others."""
+    without = left_out(asked.folder, one.truth)
+    while (name := kinds.next(one.outside, beside, without)) is not None:
         try:
             return scene.hide(name, one.seed + len(beside))
         except NotReached as reason:
-            kinds.drop(name)
-            weak[name] = reason.sigma
-            write_whole(asked.folder / ANSWERS / WEAK, weak)
-    reached = ", ".join(f"{name} {sigma:.1f}" for name, sigma in weak.items())
-    mend = f"at their most, and as far as amounts were found, kinds show by (sigma): {reached or 'none is left'}"
+            without[name] = reason.sigma
+        except NoAmount:
+            without[name] = None
+        leave_out(asked.folder, one.truth, without)
+    weak = ", ".join(f"{kind} {sigma:.1f}" for kind, sigma in without.items() if sigma is not None)
+    tried = ", ".join(kind for kind, sigma in without.items() if sigma is None)
+    mend = f"in truth {one.truth + 1} kinds show at their most by (sigma): {weak or 'none is left'}"
+    mend += f"; no amount was found for {tried}" if tried else ""
     raise InputError("--sigma", asked.sigma, "a strength that the declared camera can see", mend)
 
 
@@ -180,18 +211,22 @@ def seed_of(folder: Path, seed: int | None) -> int:
 def _index(asked: Asked, plan: Sequence[Planned]) -> Index:
     """What the folder says of itself; InputError where it has other sets."""
     entries = tuple(sorted((Entry(id=one.id, light=one.light) for one in plan), key=lambda one: one.id))
-    index = Index(plan=asked.plan.name, model=asked.model.name, sets=entries)
+    model = next((name for name in SHIPPED if find_model(name).sha256 == asked.model.sha256), MODEL)
+    index = Index(plan=asked.plan.name, model=model, model_sha256=asked.model.sha256, sets=entries)
     path = asked.folder / ANSWERS / ASKED
     if path.exists():
         there = read_index(asked.folder) if (asked.folder / INDEX).exists() else index
+        index = index.model_copy(update={"seals": there.seals, "root": there.root})
         if there != index or read_json(path, ASKED, "what was asked for", "name another folder") != asked.document():
             mend = "the same command goes on with its sets; take another folder for others"
             raise InputError("FOLDER", str(asked.folder), "an empty folder, or one that the same command began", mend)
-    elif asked.folder.exists() and any(asked.folder.iterdir()):
+    elif asked.folder.exists() and not _is_empty(asked.folder):
         raise InputError("FOLDER", str(asked.folder), "an empty folder, or one that is not there yet", "name another")
-    write_whole(path, asked.document())
-    write_whole(asked.folder / INDEX, index.text())
     return index
+
+
+def _is_empty(folder: Path) -> bool:
+    return folder.is_dir() and all(one.name == LOCK for one in folder.iterdir())
 
 
 def _answers(folder: Path) -> Iterator[Answer]:
@@ -199,24 +234,26 @@ def _answers(folder: Path) -> Iterator[Answer]:
         yield Answer.model_validate(read_json(path, path.name, "an answer", "make the sets anew")["answer"])
 
 
-def weak_kinds(folder: Path) -> dict[str, float]:
-    """Kinds that do not show as strongly as was asked, with the sigma that they have at their most."""
-    path = folder / ANSWERS / WEAK
-    return dict(read_json(path, WEAK, "sigma by kind", "remove it")) if path.exists() else {}
-
-
-def _kinds(asked: Asked, plan: Sequence[Planned]) -> Kinds:
+def _kinds(asked: Asked) -> Kinds:
     """The kinds to choose from, with what sets that are there have taken."""
     kinds = Kinds(asked.kinds, asked.seed)
-    for name in weak_kinds(asked.folder):
-        kinds.drop(name)
     for answer in _answers(asked.folder):
         if (asked.folder / SETS / answer.id).is_dir():
             for one in answer.hidden:
                 kinds.took(one.kind)
-    for outside in {one.outside for one in plan if one.count}:
-        if not kinds.has(outside):
-            where = "outside of" if outside else "in"
-            allowed = f"at least one kind {where} the catalogue that is strong enough"
-            raise InputError("--kinds", ", ".join(asked.kinds), allowed, "name others")
+    _check_kinds(asked, kinds)
     return kinds
+
+
+def _check_kinds(asked: Asked, kinds: Kinds) -> None:
+    """Raises InputError where a sort of set that is asked for has no kind."""
+    names, counts = ", ".join(asked.kinds), asked.counts
+    if not kinds.has(False) and counts.one + counts.two:
+        mend = f"{names} lie outside of the catalogue: --outside {counts.sets} asks for nothing else"
+        raise InputError("--kinds", names, "at least one kind in the catalogue", mend)
+    if not kinds.has(True) and counts.outside:
+        mend = f"{names} lie in the catalogue: leave --outside out, or name others"
+        raise InputError("--kinds", names, "at least one kind outside of the catalogue", mend)
+    if counts.two and not kinds.has_two():
+        mend = "two hidden effects of one group could not be told apart: name kinds of another group, too"
+        raise InputError("--kinds", names, "kinds of two groups, for --two", mend)

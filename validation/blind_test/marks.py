@@ -13,10 +13,12 @@ from pathlib import Path
 from typing import Any
 
 from luxloop.errors import InputError
+from validation.blind_test.bound import chain_of, check_root
 from validation.blind_test.folders import Index, read_index
 from validation.blind_test.groups import group_of
-from validation.blind_test.judging import read_record, record_path
-from validation.blind_test.seals import Answer, opened
+from validation.blind_test.records import read_record, record_path
+from validation.blind_test.seals import Answer, has_data, opened
+from validation.diagnose.held_out import Change
 from validation.effects.confounding import TOLD_APART
 
 NAMING = ("one_effect", "cannot_tell_apart")
@@ -34,6 +36,8 @@ class Marked:
     folder: Path
     answer: Answer
     record: Mapping[str, Any]
+    is_checked: bool = True
+    """Whether its data lie here and are those that were sealed; records that are kept have none."""
 
     @property
     def id(self) -> str:
@@ -142,13 +146,16 @@ class Marked:
 
     @cached_property
     def held_out(self) -> tuple[bool | None, list[bool]]:
-        """Whether the held-out error falls with a right effect; the same of each tried one outside of its group."""
+        """Whether the held-out error falls with a right effect; the same of each tried one outside of its group.
+
+        A fall is one beyond twice its own error, as the diagnosis counts it, where the record has that error.
+        """
         falls: bool | None = None
         others = []
         for one in self.record["effects"]:
             if one["held_out_before"] is None:
                 continue
-            fell = float(one["held_out_after"]) < float(one["held_out_before"])
+            fell = _fell(one)
             if one["name"] in self.right:
                 falls = fell
             elif not self._is_of(one["name"], self.right):
@@ -173,30 +180,59 @@ class Marked:
             "hidden": [one.model_dump(mode="json", exclude={"rivals"}) for one in self.answer.hidden],
             "sentence": self.record["sentence"], "follows": self.answer.follows,
             "p_structure": self.record["structure"]["p"], "p_scores": self.record["scores_p"],
-            "light": self.answer.light,
+            "light": self.answer.light, "data_checked": self.is_checked,
             "seconds_made": self.answer.seconds, "seconds_diagnosed": self.record["seconds"],
         }  # fmt: skip
+
+
+def _fell(effect: Mapping[str, Any]) -> bool:
+    """Whether the held-out error falls with an effect, beyond its error where there is one."""
+    change, error = effect.get("held_out_density_change"), effect.get("held_out_density_error")
+    if change is None or error is None:
+        return float(effect["held_out_after"]) < float(effect["held_out_before"])
+    return Change(float(change), float(error)).falls
 
 
 def marked(folders: Sequence[Path]) -> list[Marked]:
     """All sets of all folders that have a verdict; only their seals are opened.
 
-    Raises InputError where there is no verdict at all, where two folders hold one set, and what `seals.opened` does.
+    Raises InputError where there is no verdict at all, where two sets have one seal, the same data, or follow one
+    set, and what `bound.check_root`, `bound.chain_of` and `seals.opened` do.
     """
     found: list[Marked] = []
-    seals: dict[str, str] = {}
+    seen: dict[str, str] = {}
     for folder in folders:
-        index: Index = read_index(folder)
-        names = [one.id for one in index.sets if record_path(folder, one.id).exists()]
-        if not names:
-            mend = f"luxloop blind diagnose {folder} comes first: no seal is opened before"
-            raise InputError("FOLDER", str(folder), "sets with verdicts on record", mend)
-        for name in names:
+        for name in _judged(folder):
             record = read_record(folder, name)
-            one = Marked(folder, opened(folder, name, record), record)
-            where = f"{folder}: {name}"
-            if record["seal"] in seals:
-                raise InputError("FOLDER", where, "each set once", f"it is {seals[record['seal']]}, too")
-            seals[record["seal"]] = where
+            one = Marked(folder, opened(folder, name, record), record, has_data(folder, name))
+            _count_once(one, seen)
             found.append(one)
     return found
+
+
+def _judged(folder: Path) -> list[str]:
+    """The sets of a folder that have a verdict, once nothing was changed or taken away."""
+    index: Index = read_index(folder)
+    check_root(folder, index)
+    chain_of(folder, index)
+    names = [one.id for one in index.sets if record_path(folder, one.id).exists()]
+    if not names:
+        mend = f"luxloop blind diagnose {folder} comes first: no seal is opened before"
+        raise InputError("FOLDER", str(folder), "sets with verdicts on record", mend)
+    return names
+
+
+def _count_once(one: Marked, seen: dict[str, str]) -> None:
+    """Raises InputError for a set that is there already, made again by the same seed, or with a second image."""
+    where = f"{one.folder}: {one.id}"
+    same = {
+        f"seal {one.record['seal']}": ("each set once", "it is {}, too"),
+        f"data {one.answer.dataset_sha256}": ("each set once", "its data are those of {}, made by the same seed"),
+    }
+    if one.answer.follows:
+        allowed = "one further set of each"
+        same[f"follows {one.answer.follows}"] = (allowed, "{} follows the same set: score one of them")
+    for key, (allowed, mend) in same.items():
+        if key in seen:
+            raise InputError("FOLDER", where, allowed, mend.format(seen[key]))
+        seen[key] = where

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from luxloop import __version__
 from luxloop.errors import InputError
 from validation import blind
-from validation.blind_test.strength import TOLERANCE, Halves, NotReached, Ruler, amount_for, sigma_of
+from validation.blind_test.strength import TOLERANCE, Halves, NoAmount, NotReached, Ruler, amount_for, sigma_of
 from validation.blind_test.truths import Truth, camera_of, sample_of
 from validation.dataset.folder import read_dataset, write_sums
 from validation.dataset.images import write_tiff
@@ -172,7 +172,7 @@ class Scene:
         return first, second
 
     def hide(self, name: str, seed: int) -> tuple[blind.Hidden, Light, Halves]:
-        """A thing of a kind at the asked strength, the light with it, what it changes. Raises NotReached."""
+        """A thing of a kind at the asked strength, its light, what it changes. Raises NotReached, NoAmount."""
         kind, asked = blind.KINDS[name], self.asked_sigma
         lights = self.lights if kind.place != "module" else self.coarse
 
@@ -186,9 +186,12 @@ class Scene:
             sigma = sigma_of(halves)
             if kind.discrete or abs(sigma / asked - 1.0) <= TOLERANCE:
                 return hidden, light, halves
-            ratio = min(asked / max(sigma, 0.1 * asked), (kind.most - kind.off) / (amount - kind.off))
-            amount = kind.off + ratio * (amount - kind.off)  # a quarter of the histories was not enough
-        raise NotReached(name, sigma)
+            ratio, most = asked / max(sigma, 0.1 * asked), (kind.most - kind.off) / (amount - kind.off)
+            # a quarter of the histories was not enough
+            amount = kind.off + ratio * (amount - kind.off) if ratio < most else kind.most
+        if hidden.amount == kind.most and sigma < asked:
+            raise NotReached(name, sigma)
+        raise NoAmount(name)
 
     def _with(self, lights: Lights, hidden: blind.Hidden) -> tuple[Light, Halves]:
         light = lights.of([hidden])

@@ -2,8 +2,8 @@
 
     hash = SHA-256(salt | canonical answer)        salt: 32 random bytes; canonical: `luxloop.words.canonical`
 
-The hash lies with the data and is copied into the verdict; salt and answer lie apart. An answer that was changed
-after the verdict, or a verdict on other data, is found when the seal is opened.
+The hash lies with the data and is copied into the verdict; salt and answer lie apart. An answer or data that were
+changed after the verdict, or a verdict on other data, are found when the seal is opened.
 """
 
 from __future__ import annotations
@@ -19,7 +19,10 @@ from pydantic import Field
 from luxloop import __version__
 from luxloop.errors import InputError
 from luxloop.words import Name, Plain, Sha256, Words, canonical, parse
-from validation.blind_test.folders import ANSWERS, SCHEMA, SEAL, SETS, read_json, write_whole
+from validation.blind_test.bound import mark_opened
+from validation.blind_test.folders import ANSWERS, SCHEMA, SEAL, SETS, of_this_version, read_json, write_whole
+from validation.dataset.folder import SUMS, read_dataset
+from validation.dataset.manifest_file import MANIFEST
 
 SALT_BYTES = 32
 
@@ -75,19 +78,15 @@ def seal_on(folder: Path, name: str) -> str:
     """The hash that lies with the data of a set. Raises InputError where there is none, or of another version."""
     path = folder / SETS / name / SEAL
     data = read_json(path, f"{name}: seal", "a set with a seal", "luxloop blind make writes it")
-    if (data.get("schema"), data.get("version")) != (SCHEMA, __version__):
-        found = f"{data.get('schema')}, luxloop {data.get('version')}"
-        raise InputError(
-            f"{name}: seal", found, f"a set of this version: {SCHEMA}, luxloop {__version__}", "make new"
-        )
+    of_this_version(data, f"{name}: seal", "a set")
     return str(data.get("sha256"))
 
 
 def opened(folder: Path, name: str, verdict: dict[str, Any]) -> Answer:
-    """The answer of a set, after its verdict is on record.
+    """The answer of a set, after its verdict is on record; that it was opened is put on record, too.
 
     Raises InputError: no answer, no salt, an answer that is not the one that was sealed, a seal or data that are not
-    those of the verdict.
+    those of the verdict, data that are there and were changed, a verdict that was made after the seal was opened.
     """
     path = folder / ANSWERS / f"{name}.json"
     data = read_json(path, f"{name}: answer", "the answer that was sealed", "it lies where the sets were made")
@@ -104,7 +103,26 @@ def opened(folder: Path, name: str, verdict: dict[str, Any]) -> Answer:
         mend = "the verdict is on other data: the set does not count"
         found = verdict.get("dataset_sha256")
         raise InputError(f"{name}: data", found, f"the data that were sealed, {answer.dataset_sha256[:16]}...", mend)
+    if has_data(folder, name):
+        _check_data(folder, name, answer.dataset_sha256)
+    mark_opened(folder, name, verdict)
     return answer
+
+
+def has_data(folder: Path, name: str) -> bool:
+    """Whether the data of a set lie beside its seal; records that are kept have none, and nothing to check."""
+    return any((folder / SETS / name / each).exists() for each in (MANIFEST, SUMS, "images"))
+
+
+def _check_data(folder: Path, name: str, sealed: str) -> None:
+    """Raises InputError where the data of a set, read anew, are not those that were sealed."""
+    mend = "the data were changed after they were sealed: the set does not count"
+    try:
+        found = read_dataset(folder / SETS / name).sha256
+    except InputError as error:
+        raise InputError(f"{name}: data", str(error), f"the data that were sealed, {sealed[:16]}...", mend) from None
+    if found != sealed:
+        raise InputError(f"{name}: data", found, f"the data that were sealed, {sealed[:16]}...", mend)
 
 
 def _salt(name: str, text: Any) -> bytes:

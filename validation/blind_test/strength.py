@@ -58,6 +58,14 @@ class NotReached(Exception):  # noqa: N818  # it is no error: another kind is ta
         super().__init__(f"{kind} shows by {sigma:.1f} sigma at most")
 
 
+class NoAmount(Exception):  # noqa: N818  # as above
+    """A kind that is strong enough at its most, but shows as strongly as was asked by no amount that was tried."""
+
+    def __init__(self, kind: str) -> None:
+        self.kind = kind
+        super().__init__(f"{kind}: no amount near the asked strength was found")
+
+
 @dataclass(frozen=True, eq=False)
 class Ruler:
     """A perfect fit of images with nothing hidden: it measures what hidden things change."""
@@ -119,7 +127,8 @@ def amount_for(kind: blind.Kind, asked: float, measure: Callable[[float], float]
 
     Raises
     ------
-    NotReached : it is weaker at its most, or no amount near enough was found.
+    NotReached : it is weaker at its most.
+    NoAmount : no amount near enough was found.
     """
     at_most = measure(kind.most)
     if at_most < (1.0 - TOLERANCE) * asked:
@@ -137,7 +146,7 @@ def amount_for(kind: blind.Kind, asked: float, measure: Callable[[float], float]
         share *= float((asked / sigma) ** (1.0 / power))
     best, sigma = min(points, key=lambda point: abs(np.log(point[1] / asked)))
     if abs(sigma / asked - 1.0) > TOLERANCE:
-        raise NotReached(kind.name, at_most)
+        raise NoAmount(kind.name)
     return kind.off + best * (kind.most - kind.off)
 
 

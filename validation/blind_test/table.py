@@ -3,7 +3,7 @@
     met    the share that was found reaches the target          shown    so does the whole 95 % interval
 
 Alarms on draws of one light are not independent: their interval comes of whole truths drawn again (a cluster
-bootstrap). Rows without sets stay in the table.
+bootstrap). That of a mean size is 1.96 standard errors to either side. Rows without sets stay in the table.
 """
 
 from __future__ import annotations
@@ -21,7 +21,9 @@ LEVEL = 0.95
 RESAMPLED = 10_000
 AT = 0.15
 """Share by which a strength may miss the one that a row is of."""
-MOST_SECONDS = 60.0
+IMAGES, MOST_SECONDS = 6, {"twin": 60.0, "anchored": 1800.0}
+"""What the specification's limits are of: that many images, by each solver."""
+EXACT, ERROR, REDRAWN = "Clopper-Pearson", "+- 1.96 s.e.", "Clopper-Pearson and truths drawn again, the wider"
 
 
 @dataclass(frozen=True)
@@ -38,6 +40,8 @@ class Row:
     least: float | None = None
     most: float | None = None
     unit: str = "share"
+    interval: str = EXACT
+    """How low and high were found."""
 
     @property
     def said(self) -> str:
@@ -57,7 +61,8 @@ class Row:
         """As plain values."""
         return {
             "quantity": self.quantity, "target": self.target, "hits": self.hits, "of": self.of, "value": self.value,
-            "low": self.low, "high": self.high, "unit": self.unit, "said": self.said,
+            "low": self.low, "high": self.high, "unit": self.unit, "interval": self.interval,
+            "said": self.said,
         }  # fmt: skip
 
 
@@ -82,7 +87,7 @@ def table(sets: Sequence[Marked]) -> list[Row]:
     pulls = [each.size_pull for each in one if each.size_pull is not None]
     falls = [each.held_out[0] for each in one if each.held_out[0] is not None]
     further = [later.get(each.record["seal"], each) for each in apart if later and not _is_open(each, later)]
-    others = [fell for each in one for fell in each.held_out[1]]
+    others = [any(each.held_out[1]) for each in one if each.held_out[1]]
     return [
         alarms([each for each in sets if each.is_nothing]),
         _share("detection at 8 sigma", [each for each in one if _at(each, 8.0)], lambda each: each.is_seen, 0.95),
@@ -101,11 +106,9 @@ def table(sets: Sequence[Marked]) -> list[Row]:
         _share("two hidden, both named or their groups", two, lambda each: each.both_found, 0.8),
         _counted("size within 2 of its errors, form right", [abs(pull) < 2.0 for pull in pulls], 0.95),
         _counted("held-out error falls with the true effect", [bool(fell) for fell in falls], 0.95),
-        _counted("held-out error does not fall with another group's", [not fell for fell in others], 0.95),
-        _counted(
-            "diagnosis of six images in 60 s or less",
-            [each.record["seconds"] <= MOST_SECONDS for each in sets if each.record["first_of_light"]], None,
-        ),
+        _counted("sets without a held-out fall with another group's", [not fell for fell in others], 0.95),
+        _fast("six images by the twin in 60 s or less", sets, "twin"),
+        _fast("six images by Monte Carlo in 30 min or less", sets, "anchored"),
     ]  # fmt: skip
 
 
@@ -118,7 +121,7 @@ def alarms(sets: Sequence[Marked], seed: int = 1) -> Row:
     target = "0.2 to 2 %"
     quantity = f"alarms at 1 %, nothing hidden ({len(by_light)} truths)"
     if not of:
-        return Row(quantity, target, 0, 0, None, None, None, 0.002, 0.02)
+        return Row(quantity, target, 0, 0, None, None, None, 0.002, 0.02, interval=REDRAWN)
     low, high = interval(hits, of)
     if hits:
         sums = np.array([[sum(one), len(one)] for one in by_light.values()], float)
@@ -126,18 +129,30 @@ def alarms(sets: Sequence[Marked], seed: int = 1) -> Row:
         shares = sums[drawn].sum(axis=1)
         ends = np.quantile(shares[:, 0] / shares[:, 1], [(1.0 - LEVEL) / 2.0, (1.0 + LEVEL) / 2.0])
         low, high = min(low, float(ends[0])), max(high, float(ends[1]))
-    return Row(quantity, target, hits, of, hits / of, low, high, 0.002, 0.02)
+    return Row(quantity, target, hits, of, hits / of, low, high, 0.002, 0.02, interval=REDRAWN)
 
 
 def sizes(counts: Sequence[int]) -> Row:
-    """The mean size of reported sets, with twice its standard error."""
+    """The mean size of reported sets, with 1.96 times its standard error: no exact interval."""
     quantity, target = "mean size of the reported set", "<= 2.5"
     if not counts:
-        return Row(quantity, target, 0, 0, None, None, None, None, 2.5, "effects")
+        return Row(quantity, target, 0, 0, None, None, None, None, 2.5, "effects", ERROR)
     mean = float(np.mean(counts))
     error = float(np.std(counts, ddof=1) / np.sqrt(len(counts))) if len(counts) > 1 else np.inf
     low, high = max(mean - 1.96 * error, 1.0), mean + 1.96 * error
-    return Row(quantity, target, float(sum(counts)), len(counts), mean, low, min(high, 1e3), None, 2.5, "effects")
+    return Row(
+        quantity, target, float(sum(counts)), len(counts), mean, low, min(high, 1e3), None, 2.5, "effects", ERROR
+    )
+
+
+def _fast(quantity: str, sets: Sequence[Marked], method: str) -> Row:
+    """Diagnoses within the specification's limit: of six images, each the first of its light."""
+    seconds = [
+        float(each.record["seconds"]) for each in sets
+        if each.record["first_of_light"] and each.record["solver"]["method"] == method
+        and len(each.record["shots"]) == IMAGES
+    ]  # fmt: skip
+    return _counted(quantity, [one <= MOST_SECONDS[method] for one in seconds], None)
 
 
 def _share(

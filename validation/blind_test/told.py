@@ -16,8 +16,8 @@ MISSES = 20
 def made(document: Document) -> Iterator[str]:
     """What was made, and what comes next."""
     yield f"{document['folder']}: {document['sets']} sets, their answers sealed"
-    if document["too_weak"]:
-        yield weak(document["too_weak"])
+    yield f"root of all seals: {document['root']} (note it: score prints it, too)"
+    yield from kinds_left_out(document)
     yield f"next: luxloop blind diagnose {document['folder']}, then luxloop blind score {document['folder']}"
 
 
@@ -26,6 +26,9 @@ def judged(document: Document) -> Iterator[str]:
     yield f"{document['folder']}: {document['judged']} verdicts put on record, {document['before']} were there"
     if document["verdicts"]:
         yield ", ".join(f"{name} {count}" for name, count in document["verdicts"].items())
+    if document["not_made"]:
+        again = f"repeat the `luxloop blind make {document['folder']} ...` that began them, then diagnose again"
+        yield f"{document['not_made']} sets are not made yet: {again}"
     yield f"next: luxloop blind score {document['folder']}"
 
 
@@ -41,6 +44,9 @@ def scored(document: Document) -> Iterator[str]:
     yield document["sentence"]
     if document["without_verdict"]:
         yield f"{document['without_verdict']} sets have no verdict yet and do not count; their seals are shut."
+    yield from roots(document["roots"])
+    if document["not_checked"]:
+        yield not_checked(document["not_checked"])
     yield ""
     yield from table(("quantity", "target", "hits", "found", "95 %", ""), [_row(row) for row in document["table"]])
     yield ""
@@ -51,18 +57,33 @@ def scored(document: Document) -> Iterator[str]:
         yield from table(heads, [_miss(one) for one in document["misses"][:MISSES]])
         if len(document["misses"]) > MISSES:
             yield f"... and {len(document['misses']) - MISSES} more: --page shows all of them"
-    if document["too_weak"]:
-        yield weak(document["too_weak"])
+    yield from kinds_left_out(document)
     for words, name in (("to make a set", "made"), ("to diagnose one", "diagnosed"),
                         ("to diagnose another one of its light", "diagnosed_again")):  # fmt: skip
         if spread := document["seconds"][name]:
             yield f"{words}: {spread['median']:.0f} s (median of {spread['sets']}), at most {spread['most']:.0f} s"
 
 
-def weak(sigma_of: Mapping[str, float]) -> str:
-    """Kinds that the camera cannot see as strongly as was asked."""
-    kinds = ", ".join(f"{name} {sigma:.1f}" for name, sigma in sorted(sigma_of.items()))
-    return f"not hidden, for they do not show as strongly as was asked (sigma at their most): {kinds}"
+def roots(of: Mapping[str, str | None]) -> Iterator[str]:
+    """Which seals are bound together in each folder, and where nothing binds them."""
+    for folder, root in of.items():
+        missing = "none (not all sets are made, or an older luxloop made them): a set taken away would not be found"
+        yield f"root of {folder}: {root or missing}"
+
+
+def not_checked(sets: int) -> str:
+    """Records without their data."""
+    return f"data of {sets} sets are not there, only their records: not checked."
+
+
+def kinds_left_out(document: Document) -> Iterator[str]:
+    """Kinds that were not hidden in some truth, and why."""
+    if document["too_weak"]:
+        kinds = ", ".join(f"{name} {sigma:.1f}" for name, sigma in sorted(document["too_weak"].items()))
+        yield f"not hidden in a truth where they do not show as strongly as was asked (sigma at their most): {kinds}"
+    if document["no_amount"]:
+        kinds = ", ".join(document["no_amount"])
+        yield f"not hidden in a truth where no amount came near the asked strength: {kinds}"
 
 
 def found(row: Document) -> tuple[str, str]:
@@ -70,7 +91,7 @@ def found(row: Document) -> tuple[str, str]:
     if row["value"] is None:
         return "-", "-"
     if row["unit"] != "share":
-        return f"{row['value']:.2f}", f"{row['low']:.2f} to {row['high']:.2f}"
+        return f"{row['value']:.2f}", f"{row['low']:.2f} to {row['high']:.2f} ({row['interval']})"
     return f"{100.0 * row['value']:.1f} %", f"{100.0 * row['low']:.1f} to {100.0 * row['high']:.1f} %"
 
 

@@ -6,7 +6,7 @@ its range about the model's value; never nearer to a limit than a tenth of the r
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -201,7 +201,7 @@ def camera_of(one: CameraFacts, pixels: int) -> blind.Camera:
 
 
 class Kinds:
-    """Kinds in a drawn order, each taken as often as any other; those that are too weak are taken no more."""
+    """Kinds in a drawn order, each taken as often as any other."""
 
     def __init__(self, names: Sequence[str], seed: int) -> None:
         """Raises InputError for a name that is no kind."""
@@ -220,21 +220,19 @@ class Kinds:
         """Whether any is left, inside or outside of the catalogue."""
         return bool(self._left[outside])
 
-    def next(self, outside: bool, beside: Sequence[str] = ()) -> str | None:
-        """The one that was taken least, in no group of those beside it; None where there is none."""
+    def has_two(self) -> bool:
+        """Whether two of the catalogue are in different groups."""
+        return any(self.next(False, [name]) is not None for name in self._left[False])
+
+    def next(self, outside: bool, beside: Sequence[str] = (), without: Collection[str] = ()) -> str | None:
+        """The one that was taken least, in no group of those beside it, not of `without`; None where none is."""
         groups = {group_of(name) for kind in beside for name in blind.KINDS[kind].right}
         fitting = [
-            name for name in self._left[outside]
-            if name not in beside and not groups & {group_of(right) for right in blind.KINDS[name].right}
+            name for name in self._left[outside] if name not in (*beside, *without)
+            and not groups & {group_of(right) for right in blind.KINDS[name].right}
         ]  # fmt: skip
         return min(fitting, key=lambda name: self._taken[name], default=None)
 
     def took(self, name: str) -> None:
         """One more set has it."""
         self._taken[name] = self._taken.get(name, 0) + 1
-
-    def drop(self, name: str) -> None:
-        """It is too weak for what was asked."""
-        for several in self._left.values():
-            if name in several:
-                several.remove(name)

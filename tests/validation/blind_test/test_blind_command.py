@@ -9,11 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from luxloop.errors import InputError
 from luxloop.model_file import find_model
 from luxloop.settings import Settings
 from tests.validation.blind_test.pretend import answer, change, folder_of, hiding, record
 from tests.validation.test_loop import luxloop
-from validation.blind_test.folders import ANSWERS, SETS, write_whole
+from validation.blind_test.folders import ANSWERS, SETS, model_of, read_index, write_whole
+from validation.blind_test.judging import chosen_model
 from validation.blind_test.making import Asked, begin, make
 from validation.blind_test.truths import Counts
 from validation.dataset.folder import read_dataset, read_sums
@@ -58,14 +60,21 @@ def plan(tmp_path: Path) -> Path:
     [
         (("make", "out", "--sigma", "2"), "2 sigma are less than this camera can show"),
         (("make", "out", "--kinds", "dusk"), "did you mean dust?"),
-        (("make", "out", "--kinds", "dust", "--sets", "2"), "in the catalogue"),
+        (("make", "out", "--sigma", "inf"), "a number, at least 5"),
+        (("make", "out", "--sigma", "nan", "--nothing", "8"), "a number, at least 5"),
+        (("make", "out", "--kinds", "dust", "--sets", "1"), "dust lie outside of the catalogue: --outside 1"),
+        (("make", "out", "--kinds", "binning", "--sets", "1", "--outside", "1"), "leave --outside out"),
+        (("make", "out", "--kinds", "clipped_pupil,binning", "--sets", "2", "--two", "1"), "kinds of two groups"),
         (("make", "out", "--sets", "3", "--nothing", "4"), "--outside + --two + --nothing"),
         (("make", "full"), "an empty folder"),
+        (("make", "full/notes.txt"), "an empty folder"),
         (("make", "out", "--plan", "no-plan.toml"), "--plan"),
         (("diagnose", "nowhere"), "luxloop blind make FOLDER makes one"),
+        (("diagnose", "sealed", "--model", "clear_chip"), "the model of the sets, paper"),
         (("measure", "sealed", "out"), "only verdicts that cannot tell effects apart"),
         (("score", "nowhere"), "luxloop blind make FOLDER makes one"),
         (("score", "full"), "luxloop blind make FOLDER makes one"),
+        (("score", "full/*/"), "`python -m benchmarks.blind_records` adds some"),
         (("score", "sealed"), "luxloop blind diagnose sealed comes first"),
         (("score", "sealed", "--page", "page.txt"), ".html"),
     ],
@@ -137,6 +146,23 @@ def test_making_goes_on_where_it_was_killed(plan: Path, tmp_path: Path) -> None:
         begin(asked("cut", seed=5))
 
 
+@pytest.mark.parametrize("name", ["paper", "clear_chip", "mine"])
+def test_sets_know_their_model(plan: Path, tmp_path: Path, name: str) -> None:
+    """One that luxloop ships by its name, another one by a copy; it is the one that diagnose begins with."""
+    model = find_model("paper" if name == "mine" else name)
+    if name == "mine":
+        model = model.with_value("environment.receiver.reflectance", 0.21)
+    folder = tmp_path / "out"
+    begin(Asked(folder, Counts(1, nothing=1), 4, 20.0, read_plan(plan), model, (), PIXELS, HISTORIES))
+    index = read_index(folder)
+    assert index.model == ("model.toml" if name == "mine" else name)
+    assert chosen_model(folder, index, None) == model_of(folder, index) == model
+    with pytest.raises(InputError, match="leave --model out"):
+        chosen_model(folder, index, "paper" if name != "paper" else "clear_chip")
+    with pytest.raises(InputError, match="put the file back"):
+        model_of(folder, index.model_copy(update={"model_sha256": "0" * 64}))
+
+
 def test_a_file_is_written_whole_or_not_at_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A kill before the last step leaves what was there before."""
     write_whole(tmp_path / "a.json", {"verdict": 1})
@@ -152,14 +178,16 @@ def test_a_file_is_written_whole_or_not_at_all(tmp_path: Path, monkeypatch: pyte
 
 @pytest.mark.slow
 def test_a_blind_test_over_real_processes(settings: Settings, plan: Path, tmp_path: Path) -> None:
-    """Two sets are made, diagnosed by the twin, scored; a verdict that was lost is made again, and nothing else."""
+    """Two sets are made, diagnosed by the twin, scored; a verdict that was lost is not made again."""
     small = ("--plan", str(plan), "--pixels", str(PIXELS), "--histories", str(HISTORIES))
     made = luxloop(
         settings, tmp_path, "blind", "make", "out", "--sets", "2", "--outside", "1", "--seed", "3", "--sigma", "12",
         "--kinds", "stray_daylight,smear", "--no-rivals", *small, "--json",
     )  # fmt: skip
     assert made.returncode == 0, made.stderr
-    assert json.loads(made.stdout) == {"folder": "out", "sets": 2, "too_weak": {}}
+    document = json.loads(made.stdout)
+    root = json.loads((tmp_path / "out" / "blind.json").read_text())["root"]
+    assert document == {"folder": "out", "sets": 2, "root": root, "too_weak": {}, "no_amount": []}
     for path in (tmp_path / "out" / ANSWERS).glob("set-*.json"):
         (hidden,) = json.loads(path.read_text())["answer"]["hidden"]
         assert hidden["sigma"] == pytest.approx(12.0, rel=0.1)
@@ -167,17 +195,21 @@ def test_a_blind_test_over_real_processes(settings: Settings, plan: Path, tmp_pa
     judged = luxloop(settings, tmp_path, "blind", "diagnose", "out", *few, "--json")
     assert judged.returncode == 0, judged.stderr
     assert json.loads(judged.stdout)["judged"] == 2
-    (tmp_path / "out" / "verdicts" / "set-2.json").unlink()
-    kept = (tmp_path / "out" / "verdicts" / "set-1.json").read_bytes()
+    path = tmp_path / "out" / "verdicts" / "set-2.json"
+    kept = path.read_bytes()
+    path.unlink()
+    lost = luxloop(settings, tmp_path, "blind", "diagnose", "out", *few)
+    assert (lost.returncode, "a verdict was taken away" in lost.stderr) == (2, True)
+    path.write_bytes(kept)
     again = luxloop(settings, tmp_path, "blind", "diagnose", "out", *few)
-    assert "1 verdicts put on record, 1 were there" in again.stdout
-    assert (tmp_path / "out" / "verdicts" / "set-1.json").read_bytes() == kept
+    assert "0 verdicts put on record, 2 were there" in again.stdout
+    assert path.read_bytes() == kept
     scored = luxloop(settings, tmp_path, "blind", "score", "out", "--json", "--page", "score.html")
     assert scored.returncode == 0, scored.stderr
     document = json.loads(scored.stdout)
     assert document["sets"] == 2
     assert sorted(one["truth"] for one in document["marks"]) == ["ambient_gradient", "outside: smear"]
-    assert len(document["table"]) == 17
+    assert len(document["table"]) == 18
     page = (tmp_path / "score.html").read_text(encoding="utf-8")
     assert document["sentence"] in page
     assert all(one["id"] in page for one in document["marks"])

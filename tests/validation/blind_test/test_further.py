@@ -11,11 +11,14 @@ import pytest
 
 from luxloop.errors import InputError
 from luxloop.model_file import find_model
-from tests.validation.blind_test.pretend import record
+from luxloop.words import sha256_of
+from tests.validation.blind_test.pretend import chained, change, record
 from tests.validation.blind_test.test_blind_command import HISTORIES, PIXELS, PLAN
-from validation.blind_test.folders import ANSWERS, SETS, VERDICTS, write_whole
-from validation.blind_test.further import measure
+from validation.blind_test.bound import Chain
+from validation.blind_test.folders import ANSWERS, SETS, VERDICTS, model_of, read_index, write_whole
+from validation.blind_test.further import measure, noise_seed
 from validation.blind_test.making import Asked, begin, make
+from validation.blind_test.records import read_record
 from validation.blind_test.seals import opened
 from validation.blind_test.truths import Counts
 from validation.dataset.folder import read_dataset
@@ -37,9 +40,9 @@ def folder(tmp_path: Path) -> Path:
         proposal = None if sample is None else {"sample": sample}
         sealed = json.loads((asked.folder / SETS / name / "seal.json").read_text())["sha256"]
         data = read_dataset(asked.folder / SETS / name).sha256
-        said = record("cannot_tell_apart", seal=sealed, dataset_sha256=data, next_measurement=proposal)
+        said = record("cannot_tell_apart", "vignetting", seal=sealed, dataset_sha256=data, next_measurement=proposal)
         write_whole(asked.folder / VERDICTS / f"{name}.json", said)
-    return asked.folder
+    return chained(asked.folder, ("set-1", "set-2", "set-3"))
 
 
 def test_a_further_image_is_of_the_same_truth(folder: Path, tmp_path: Path) -> None:
@@ -62,6 +65,7 @@ def test_a_further_image_is_of_the_same_truth(folder: Path, tmp_path: Path) -> N
         after = opened(out, name, {"seal": sealed, "dataset_sha256": new.sha256})
         assert after.follows == before["seal"] != sealed
         assert after.truth == opened(folder, name, before).truth
+    assert len({noise_seed(opened(folder, name, read_record(folder, name)), 2) for name in ("set-1", "set-2")}) == 2
     again = read_dataset(out / SETS / "set-2").manifest
     assert len(again.samples) == 2
     mirror, once_more = (
@@ -71,12 +75,53 @@ def test_a_further_image_is_of_the_same_truth(folder: Path, tmp_path: Path) -> N
     assert np.corrcoef(mirror.ravel(), once_more.ravel())[0, 1] > 0.95  # the same image, but for its place
 
 
+def test_further_images_of_one_truth_have_noise_of_their_own(folder: Path, tmp_path: Path) -> None:
+    """Three sets of one light that ask for the same image: the frames shared their noise, bit for bit."""
+    mirror = json.loads((folder / VERDICTS / "set-2.json").read_text())["next_measurement"]["sample"]
+    for name in ("set-1", "set-2"):
+        said = {"sample": mirror | {"id": "next", "distance_um": 60.0}}
+        change(folder / VERDICTS / f"{name}.json", next_measurement=said)
+    chained(folder, ("set-1", "set-2", "set-3"))
+    measure(folder, tmp_path / "further")
+    one, two = (
+        read_tiff(tmp_path / "further" / SETS / name / "images/further-next.tif", name).values.astype(float)
+        for name in ("set-1", "set-2")
+    )
+    assert not np.array_equal(one, two)
+    assert np.corrcoef(one.ravel(), two.ravel())[0, 1] > 0.9
+
+
+def test_the_truth_is_about_a_model_of_ones_own(tmp_path: Path) -> None:
+    """Its copy lies in both folders: `measure` finds it where the file that it came from is gone."""
+    (tmp_path / "plan.toml").write_text(PLAN)
+    plan = read_plan(tmp_path / "plan.toml")
+    model = find_model("clear_chip").with_value("environment.receiver.reflectance", 0.21)
+    asked = Asked(tmp_path / "sets", Counts(1, nothing=1), 4, 20.0, plan, model, (), PIXELS, HISTORIES)
+    nobody: Any = None
+    index = make(begin(asked), nobody, nobody)
+    sealed, data = index.seals["set-1"], read_dataset(asked.folder / SETS / "set-1").sha256
+    asks = {"sample": plan.samples[1].model_dump(mode="json", exclude_defaults=True)}
+    said = record("cannot_tell_apart", "vignetting", seal=sealed, dataset_sha256=data, next_measurement=asks)
+    write_whole(asked.folder / VERDICTS / "set-1.json", Chain().added(said))
+    further = measure(asked.folder, tmp_path / "further")
+    assert model_of(tmp_path / "further", further) == model
+
+
 def test_it_goes_on_and_refuses_other_sets(folder: Path, tmp_path: Path) -> None:
-    """What is there stays; verdicts that ask for nothing are said; a truth of another seed is found."""
+    """What is there stays, one more verdict adds a set; verdicts that ask for nothing and another truth are said."""
     out = tmp_path / "further"
     measure(folder, out)
     kept = (out / SETS / "set-1" / "seal.json").read_bytes()
-    assert measure(folder, out) == measure(folder, out)
+    assert measure(folder, out) == measure(folder, out) == read_index(out)
+    assert (out / SETS / "set-1" / "seal.json").read_bytes() == kept
+    said = json.loads((folder / VERDICTS / "set-2.json").read_text())["next_measurement"]
+    change(folder / VERDICTS / "set-3.json", next_measurement=said)
+    chained(folder, ("set-1", "set-2", "set-3"))
+    for name in ("set-1", "set-2"):
+        (folder / "opened" / f"{name}.json").unlink()  # the chain was written anew
+    grown = measure(folder, out)
+    assert [one.id for one in grown.sets] == ["set-1", "set-2", "set-3"]
+    assert grown.root == sha256_of(grown.seals) == sha256_of(read_index(out).seals)
     assert (out / SETS / "set-1" / "seal.json").read_bytes() == kept
     with pytest.raises(InputError, match="verdicts that propose an image"):
         measure(out, tmp_path / "nothing")

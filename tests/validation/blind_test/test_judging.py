@@ -2,18 +2,51 @@
 
 from __future__ import annotations
 
+import shutil
+from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import pytest
 
 from luxloop.model_file import find_model
-from validation.blind_test.judging import Shared, SharedDiagnosing, SharedSolver
+from tests.validation.blind_test.pretend import answer, folder_of, record
+from validation.blind_test import told
+from validation.blind_test.bound import Chain, close
+from validation.blind_test.folders import SETS, Entry, read_index, write_whole
+from validation.blind_test.judging import Judge, Shared, SharedDiagnosing, SharedSolver, not_made
+from validation.blind_test.records import record_path
+from validation.blind_test.seals import seal
+from validation.comparing import Solver
 from validation.diagnosing import Diagnosing
 from validation.prediction import Anchored
 
 PAPER = find_model("paper")
 MOVED = PAPER.with_value("environment.receiver.reflectance", 0.3)
+
+
+def test_sets_that_are_not_made_yet_are_passed_over(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A killed make left one of two sets: that one gets its verdict, and the other one is said."""
+    folder = folder_of(tmp_path / "run", (answer("set-1"), None), (answer("set-2"), None))
+    shutil.rmtree(folder / SETS / "set-1")
+    index, nobody = read_index(folder), cast("Any", None)
+    judge = Judge(folder, PAPER, nobody, nobody, Solver(None))
+
+    def verdict(self: Judge, one: Entry, shared: Shared, chain: Chain) -> dict[str, Any]:
+        placed = chain.added(record("nothing_visible", id=one.id))
+        write_whole(record_path(folder, one.id), placed)
+        return placed
+
+    monkeypatch.setattr(Judge, "_verdict", verdict)
+    assert [one["id"] for one in judge.verdicts(index)] == ["set-2"]
+    assert not_made(folder, index) == ["set-1"]
+    document = {"folder": "run", "judged": 1, "before": 0, "not_made": 1, "verdicts": {}}
+    assert any("1 sets are not made yet: repeat the `luxloop blind make run" in one for one in told.judged(document))
+    seal(folder, folder / SETS / "set-1", answer("set-1"))
+    closed = close(folder, index)
+    assert [one["id"] for one in judge.verdicts(closed)] == ["set-1"]
+    shutil.rmtree(folder / SETS / "set-1")
+    assert not_made(folder, closed) == []  # a gap in a whole folder is damage
 
 
 def test_the_first_set_makes_its_anchor_anew_where_its_fit_moves_and_lends_the_last(

@@ -5,15 +5,17 @@ from __future__ import annotations
 import hashlib
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from luxloop.errors import InputError
 from luxloop.words import canonical
 from tests.validation.blind_test.pretend import answer, change, change_answer, folder_of, hiding, record
+from validation.blind_test import told
 from validation.blind_test.folders import ANSWERS, INDEX, SEAL, SETS, VERDICTS, read_index
 from validation.blind_test.marks import marked
-from validation.blind_test.scoring import score
+from validation.blind_test.scoring import maps_of, score
 from validation.blind_test.seals import seal_of
 
 SET = answer("set-1", hiding("vignetting"))
@@ -43,6 +45,13 @@ def test_a_seal_that_was_not_touched_opens(folder: Path) -> None:
     (one,) = marked([folder])
     assert one.answer == SET
     assert one.is_exact
+
+
+def test_records_without_data_are_said_not_to_be_checked(folder: Path) -> None:
+    """Nothing but the record lies there: it counts, and the score says what was not looked at."""
+    found = score([folder])
+    assert found["not_checked"] == 1
+    assert "data of 1 sets are not there, only their records: not checked." in list(told.scored(found))
 
 
 def test_a_changed_answer_is_found(folder: Path) -> None:
@@ -96,6 +105,50 @@ def test_sets_of_another_version(folder: Path) -> None:
         read_index(folder)
 
 
+@pytest.mark.parametrize("changes", [{"version": "0.0.1"}, {"schema": "luxloop-blind/0"}])
+def test_verdicts_of_another_version(folder: Path, changes: dict[str, str]) -> None:
+    """They are no sample of one thing with those of this one."""
+    change(folder / VERDICTS / "set-1.json", **changes)
+    with pytest.raises(InputError, match="a verdict of this version") as error:
+        score([folder])
+    assert error.value.field == "set-1: verdict"
+
+
+@pytest.mark.parametrize("changes", [
+    {"structure": None}, {"structure": {}}, {"set": []}, {"set": "vignetting"}, {"effects": [{"name": "vignetting"}]},
+    {"added": [1]}, {"solver": {"method": "twin"}}, {"seconds": "many"}, {"verdict": None}, {"known": None},
+])  # fmt: skip
+def test_a_damaged_verdict(folder: Path, changes: dict[str, Any]) -> None:
+    """Each ended with a traceback of the line that read it."""
+    change(folder / VERDICTS / "set-1.json", **changes)
+    with pytest.raises(InputError, match="damaged") as error:
+        score([folder])
+    assert error.value.field.startswith("set-1: verdict")
+
+
+@pytest.mark.parametrize("data", [b"", b"no maps", b"PK\x03\x04 half of them", b"\x93NUMPY"])
+def test_damaged_residuals(folder: Path, data: bytes) -> None:
+    """The page says which file it is."""
+    (folder / VERDICTS / "set-1.npz").write_bytes(data)
+    with pytest.raises(InputError, match=r"set-1\.npz"):
+        maps_of([{"folder": str(folder), "id": "set-1"}])
+
+
+@pytest.mark.parametrize("changes", [
+    {"model_sha256": "e" * 64}, {"solver": {"method": "anchored", "histories": 10_000_000, "seed": 1}},
+    {"solver": {"method": "twin", "histories": None, "seed": 2}}, {"among": ["vignetting"]}, {"known": 31},
+])  # fmt: skip
+def test_unlike_verdicts_are_said_first(folder: Path, tmp_path: Path, changes: dict[str, Any]) -> None:
+    """Another model, solver, seed, or other effects to choose from: in the first line, with how many of each."""
+    alike = score([folder])["sentence"]
+    assert alike.startswith("1 sets, by model paper, the twin, seed 1, all 32 effects: of ")
+    other = folder_of(tmp_path / "other", (answer("set-1", hiding("coma")), record("none_of_the_known", **changes)))
+    found = score([folder, other])
+    assert found["sentence"].startswith("2 sets, UNLIKE verdicts, 1 by model paper, the twin")
+    assert [one["sets"] for one in found["by"]] == [1, 1]
+    assert next(told.scored(found)) == found["sentence"]
+
+
 def test_a_score_without_verdicts(tmp_path: Path) -> None:
     """No seal is opened: even a broken one is not looked at."""
     folder = folder_of(tmp_path, (SET, None))
@@ -113,13 +166,28 @@ def test_only_sets_with_verdicts_are_opened(tmp_path: Path) -> None:
 
 
 def test_a_folder_counts_once(folder: Path) -> None:
-    """Given twice it is refused; two folders add up."""
+    """Given twice, or made twice by one seed, it is refused; two folders add up."""
     with pytest.raises(InputError, match="each set once"):
         score([folder, folder])
-    other = folder_of(folder.parent / "other", (SET, record("none_of_the_known")))
+    again = folder_of(folder.parent / "again", (SET, record("none_of_the_known")))
+    with pytest.raises(InputError, match="made by the same seed"):
+        score([folder, again])
+    own = answer("set-1", hiding("vignetting"), dataset_sha256="e" * 64)
+    other = folder_of(folder.parent / "other", (own, record("none_of_the_known")))
     found = score([folder, other])
     assert found["sets"] == 2
     assert [one["folder"] for one in found["misses"]] == [str(other)]
+
+
+def test_a_set_has_one_further_set(folder: Path) -> None:
+    """The last of several stood in for all of them; which one counts is nobody's choice."""
+    follows = json.loads((folder / SETS / "set-1" / SEAL).read_text())["sha256"]
+    sets = [answer("set-1", hiding("vignetting"), follows=follows, dataset_sha256=data * 64) for data in "ef"]
+    one, two = (folder_of(folder.parent / name, (each, record("nothing_visible")))
+                for name, each in zip(("one", "two"), sets, strict=True))  # fmt: skip
+    assert score([folder, one])["sets"] == 2
+    with pytest.raises(InputError, match="follows the same set"):
+        score([folder, one, two])
 
 
 def test_a_seal_outlives_new_words(folder: Path) -> None:

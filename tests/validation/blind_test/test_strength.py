@@ -9,7 +9,7 @@ import pytest
 
 from tests.validation.diagnose.test_score import PROJECTION, candidate
 from validation.blind import Kind
-from validation.blind_test.strength import CLOSE, TOLERANCE, NotReached, amount_for, sigma_beside, sigma_of
+from validation.blind_test.strength import CLOSE, TOLERANCE, NoAmount, NotReached, amount_for, sigma_beside, sigma_of
 from validation.diagnose.score import Projected
 
 ROWS = 400
@@ -56,8 +56,8 @@ def test_a_discrete_one_is_there_as_it_is() -> None:
 
 
 def test_a_strength_that_jumps_is_refused() -> None:
-    """No amount near enough exists."""
-    with pytest.raises(NotReached):
+    """No amount near enough exists; it is not called weak, for at its most it shows by 100 sigma."""
+    with pytest.raises(NoAmount):
         amount_for(kind(), 20.0, lambda amount: 100.0 if amount > 0.1 else 1.0)
 
 

@@ -156,7 +156,40 @@ def test_held_out_errors() -> None:
              effect("camera_psf", 2.1)]  # fmt: skip
     sets = [marked(record("one_effect", "vignetting", effects=tried), hiding("vignetting"))]
     assert counts(sets, "held-out error falls with") == (1, 1)
-    assert counts(sets, "held-out error does not fall") == (1, 2)
+    assert counts(sets, "sets without a held-out fall") == (0, 1)
+    two = marked(record("one_effect", "vignetting", effects=[tried[0], tried[3]]), hiding("vignetting"))
+    alone = marked(record("one_effect", "vignetting", effects=tried[:2]), hiding("vignetting"))
+    assert counts([*sets, two, alone], "sets without a held-out fall") == (1, 2)
+
+
+def test_a_held_out_error_falls_beyond_its_own_error() -> None:
+    """By the diagnosis's own rule, twice the error; a record without that error counts as it stands."""
+
+    def effect(name: str, change: float | None, error: float | None) -> dict[str, object]:
+        return {"name": name, "held_out_before": 2.0, "held_out_after": 1.9, "size": {},
+                "held_out_density_change": change, "held_out_density_error": error}  # fmt: skip
+
+    def held(change: float | None, error: float | None) -> tuple[tuple[float, int], tuple[float, int]]:
+        both = [effect(name, change, error) for name in ("vignetting", "dead_chip")]
+        sets = [marked(record("one_effect", "vignetting", effects=both), hiding("vignetting"))]
+        return counts(sets, "held-out error falls with"), counts(sets, "sets without a held-out fall")
+
+    assert held(0.05, 0.01) == held(None, None) == ((1, 1), (0, 1))
+    assert held(0.015, 0.01) == held(-0.05, 0.01) == ((0, 1), (1, 1))
+
+
+def test_the_limits_of_time_are_of_six_images_and_a_solver() -> None:
+    """60 s by the twin, 30 min by Monte Carlo; sets of three images, and those that share a light, say nothing."""
+    monte_carlo = {"method": "anchored", "histories": 1000, "seed": 1}
+    sets = [
+        marked(record("nothing_visible", seconds=59.0)),
+        marked(record("nothing_visible", seconds=61.0)),
+        marked(record("nothing_visible", seconds=1700.0, solver=monte_carlo)),
+        marked(record("nothing_visible", seconds=1.0, shots=[{"id": "a"}] * 3)),
+        marked(record("nothing_visible", seconds=1.0, first_of_light=False)),
+    ]
+    assert counts(sets, "six images by the twin in 60 s") == (1, 2)
+    assert counts(sets, "six images by Monte Carlo in 30 min") == (1, 1)
 
 
 def test_alarms_draw_whole_truths_again() -> None:
@@ -179,7 +212,10 @@ def test_alarms_draw_whole_truths_again() -> None:
 
 
 def test_the_mean_size_has_an_error() -> None:
-    """One set says nothing of the spread."""
+    """One set says nothing of the spread; its interval is said to be no exact one."""
+    assert (sizes([2, 1]).interval, sizes([]).interval, alarms([]).interval.split()[0]) == (
+        "+- 1.96 s.e.", "+- 1.96 s.e.", "Clopper-Pearson",
+    )  # fmt: skip
     assert (sizes([2]).said, sizes([2] * 30 + [1] * 10).said, sizes([4, 5]).said) == ("met", "shown", "short")
 
 

@@ -1,0 +1,144 @@
+"""What binds sets and verdicts: a miss cannot be taken away, changed or made anew without being found."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from luxloop.errors import InputError
+from luxloop.words import sha256_of
+from tests.validation.blind_test.pretend import answer, bound_folder_of, change, folder_of, hiding, record
+from validation.blind_test import told
+from validation.blind_test.bound import Chain, chain_of, close, refuse_opened
+from validation.blind_test.folders import ANSWERS, ASKED, CHAIN, INDEX, OPENED, VERDICTS, read_index, write_whole
+from validation.blind_test.scoring import score
+
+NAMES = ("set-1", "set-2", "set-3")
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Three sets with verdicts, the second a miss; a fourth without."""
+    said = ("vignetting", "camera_psf", "vignetting")
+    sets = [
+        (answer(name, hiding("vignetting")), record("one_effect", one)) for name, one in zip(NAMES, said, strict=True)
+    ]
+    return bound_folder_of(tmp_path / "blind", *sets, (answer("set-4"), None))
+
+
+def test_what_nobody_touched_counts(folder: Path) -> None:
+    """Twice, too; the root is told."""
+    found = score([folder])
+    assert (found["sets"], len(found["misses"])) == (3, 1)
+    assert score([folder]) == found
+    index = read_index(folder)
+    assert index.root == sha256_of(index.seals)
+    assert found["roots"] == {str(folder): index.root}
+    assert any(str(index.root) in line for line in told.scored(found))
+
+
+@pytest.mark.parametrize("also_seals", [False, True])
+def test_a_set_taken_out_of_the_index_is_found(folder: Path, also_seals: bool) -> None:
+    """Whether or not its seal is taken out, too."""
+    data = json.loads((folder / INDEX).read_text())
+    data["sets"] = [one for one in data["sets"] if one["id"] != "set-4"]
+    if also_seals:
+        del data["seals"]["set-4"]
+    (folder / INDEX).write_text(json.dumps(data))
+    with pytest.raises(InputError, match="all sets of the root"):
+        score([folder])
+
+
+def test_fewer_sets_than_were_asked_for(folder: Path) -> None:
+    """The index was written anew with a root of its own, but the answers' folder says how many there were."""
+    write_whole(folder / ANSWERS / ASKED, {"sets": 4})
+    assert score([folder])["without_verdict"] == 1
+    index = read_index(folder)
+    fewer = index.model_copy(update={"sets": index.sets[:3], "seals": {}, "root": None})
+    close(folder, fewer)
+    with pytest.raises(InputError, match="4 that were asked for"):
+        score([folder])
+
+
+def test_another_seal_is_found_without_any_verdict(folder: Path) -> None:
+    """The seal of a set that nobody has judged: it is bound by the root, and closing anew refuses it."""
+    change(folder / "sets" / "set-4" / "seal.json", sha256="0" * 64)
+    with pytest.raises(InputError, match="set-4: seal"):
+        score([folder])
+    with pytest.raises(InputError, match="set-4: seal"):
+        close(folder, read_index(folder))
+
+
+def test_an_edited_verdict_is_found(folder: Path) -> None:
+    """Its hash is its own; with that written anew, too, the record after it says so."""
+    path = folder / VERDICTS / "set-2.json"
+    change(path, set=["vignetting"])
+    with pytest.raises(InputError, match="it was edited") as error:
+        score([folder])
+    assert error.value.field == "set-2: verdict"
+    first = json.loads((folder / VERDICTS / "set-1.json").read_text())
+    write_whole(path, Chain(1, first["sha256"]).added(json.loads(path.read_text())))
+    with pytest.raises(InputError, match="a verdict was taken away, or made anew") as error:
+        score([folder])
+    assert error.value.field == "set-3: verdict"
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_verdict_taken_away_is_found(folder: Path, name: str) -> None:
+    """The first, one between, the last; no further verdict is given on top of it."""
+    (folder / VERDICTS / f"{name}.json").unlink()
+    with pytest.raises(InputError, match="taken away"):
+        score([folder])
+    with pytest.raises(InputError, match="taken away"):
+        chain_of(folder, read_index(folder))
+
+
+def test_a_verdict_without_a_number_is_found(folder: Path) -> None:
+    """It was put there by hand."""
+    path = folder / VERDICTS / "set-4.json"
+    write_whole(path, record("nothing_visible", id="set-4"))
+    with pytest.raises(InputError, match="a record without a number"):
+        score([folder])
+
+
+def test_a_chain_goes_on_after_a_kill_between_two_writings(folder: Path) -> None:
+    """The record is there, the chain's end does not name it yet."""
+    last = json.loads((folder / VERDICTS / "set-3.json").read_text())
+    change(folder / CHAIN, records=2, last=last["before"])
+    assert chain_of(folder, read_index(folder)) == Chain(3, last["sha256"])
+
+
+@pytest.mark.parametrize("make", [folder_of, bound_folder_of])
+def test_a_verdict_made_after_its_seal_was_opened_is_refused(make: Callable[..., Path], tmp_path: Path) -> None:
+    """Even in a folder without a chain, and in one whose chain was written anew."""
+    one = answer("set-1", hiding("vignetting"))
+    folder = make(tmp_path / "a", (one, record("one_effect", "camera_psf")))
+    score([folder])
+    assert (folder / OPENED / "set-1.json").exists()
+    kept = {path: path.read_bytes() for path in (folder / "answers").iterdir()}
+    sealed = (folder / "sets" / "set-1" / "seal.json").read_bytes()
+    (folder / CHAIN).unlink(missing_ok=True)
+    (folder / VERDICTS / "set-1.json").unlink()
+    with pytest.raises(InputError, match="put back the verdict"):
+        refuse_opened(folder, read_index(folder))
+    make(folder, (one, record("one_effect", "vignetting")))
+    for path, data in kept.items():
+        path.write_bytes(data)
+    (folder / "sets" / "set-1" / "seal.json").write_bytes(sealed)
+    change(folder / VERDICTS / "set-1.json", seal=json.loads(sealed)["sha256"])
+    index = read_index(folder).model_copy(update={"seals": {}, "root": None})
+    write_whole(folder / INDEX, index.text())
+    data = json.loads((folder / VERDICTS / "set-1.json").read_text())
+    write_whole(folder / VERDICTS / "set-1.json", Chain().added(data))
+    (folder / CHAIN).unlink(missing_ok=True)
+    with pytest.raises(InputError, match="its seal was opened before this verdict was made"):
+        score([folder])
+
+
+def test_a_folder_without_a_root_is_said(tmp_path: Path) -> None:
+    """Of an older luxloop, or not all sets are made."""
+    folder = folder_of(tmp_path, (answer("set-1", hiding("vignetting")), record("one_effect", "vignetting")))
+    assert any("a set taken away would not be found" in line for line in told.scored(score([folder])))
