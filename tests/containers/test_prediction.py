@@ -13,7 +13,8 @@ from containers.ray_tracing.kernel import WEIGHT_OF_EXIT
 from containers.ray_tracing.monte_carlo import BLOCK
 from containers.ray_tracing.twin.columns import COLUMNS, film_column
 from containers.ray_tracing.twin.module import ModuleTwin
-from containers.ray_tracing.twin.prediction import Anchor, Shot, Supply, jacobian, twin_images
+from containers.ray_tracing.twin.prediction import EFFECTIVE, Anchor, Shot, Supply, jacobian, twin_images
+from containers.ray_tracing.twin.reweighting import reweighted
 from containers.scene import Array, Scene
 from luxloop.camera import Camera
 from tests.ray_scenes import scene, taking
@@ -82,6 +83,21 @@ def test_the_error_at_the_anchor_is_carried_as_a_share_of_the_light(dim: tuple[S
     errors = [one.images_per_mm2 - one.twin_per_mm2 for one in (here, there)]
     np.testing.assert_allclose(errors[1], share * errors[0], atol=1e-12 * here.images_per_mm2.max())
     np.testing.assert_allclose(there.noise_per_mm2, share * here.noise_per_mm2)
+
+
+def test_no_wall_stands_between_the_anchor_and_a_chip_that_absorbs_more(dim: tuple[Scene, Exits]) -> None:
+    """Walked anew from where a tenth of the others' effect is lost, images jumped by another walk's noise."""
+    case, exits = dim
+    walks: list[Scene] = []
+    supply = Supply(lambda s: (walks.append(s), exits)[1])
+    shares = []
+    for more in (0.005, 0.01, 0.2):
+        there = COLUMNS["absorption_per_um"].move(case, more)
+        shares.append(reweighted(exits, case, there).effective_share)
+        supply.of(there, case)
+    assert [one > EFFECTIVE for one in shares] == [True, True, False]
+    assert shares[1] < 0.9
+    assert len(walks) == 2  # the anchor's, and one of the chip that is too far
 
 
 def test_a_chip_with_another_emission_has_one_walk_at_any_absorption(dim: tuple[Scene, Exits]) -> None:
