@@ -7,8 +7,8 @@ camera), so strong that its rival leaves `--sigma` of it beside the camera's noi
 it. The diagnosis, with the pair to choose from, should not be able to tell them apart; then the shot that it proposes
 first is simulated, added to the data, and all is diagnosed again. It counts where the hidden effect is named. Trials
 whose first verdict is another one are told, and count for nothing, as those where the proposal itself says that it
-would not do (less than 5 sigma). `--truth` and `--anchor`: histories a sample; 0:
-the twin makes the images, and diagnoses them. `--noise`: of the camera, times that of the declared one.
+would not do (less than 5 sigma). `--truth` and `--anchor`: histories a sample; 0: the twin makes the images, and
+diagnoses them. `--noise`: of the camera, times that of the declared one.
 """
 
 from __future__ import annotations

@@ -85,6 +85,24 @@ def test_the_error_at_the_anchor_is_carried_as_a_share_of_the_light(dim: tuple[S
     np.testing.assert_allclose(there.noise_per_mm2, share * here.noise_per_mm2)
 
 
+def test_chips_of_less_power_have_their_images_by_as_much_less(dim: tuple[Scene, Exits]) -> None:
+    """Light is linear in power: the anchor's Monte Carlo and its noise are dimmed as the twin is."""
+    case, exits = dim
+    supply, options = Supply(lambda _: exits), {"blocks": 1, "shadow_rays": 1024}
+    of = shots(case)
+    fields = [ModuleTwin(shot.scene, exits, groups=8, seed=7).field() for shot in of]
+    anchor = Anchor(of, fields, supply, **options)
+    dimmed = []
+    for shot in of:
+        layout = shot.scene.layout
+        assert isinstance(layout, Array)
+        dimmed.append(replace(shot, scene=replace(shot.scene, layout=replace(layout, power=0.7 * layout.power))))
+    here, there = anchor.predict(of, supply), anchor.predict(dimmed, supply)
+    assert np.abs(here.images_per_mm2 - here.twin_per_mm2).max() > 1e-3 * here.twin_per_mm2.max()
+    np.testing.assert_allclose(there.images_per_mm2, 0.7 * here.images_per_mm2, rtol=1e-6)
+    np.testing.assert_allclose(there.noise_per_mm2, 0.7 * here.noise_per_mm2, rtol=1e-6)
+
+
 def test_no_wall_stands_between_the_anchor_and_a_chip_that_absorbs_more(dim: tuple[Scene, Exits]) -> None:
     """Walked anew from where a tenth of the others' effect is lost, images jumped by another walk's noise."""
     case, exits = dim

@@ -58,7 +58,7 @@ class NotReached(Exception):  # noqa: N818  # it is no error: another kind is ta
         super().__init__(f"{kind} shows by {sigma:.1f} sigma at most")
 
 
-class NoAmount(Exception):  # noqa: N818  # as above
+class NoAmount(Exception):  # noqa: N818  # it is no error: another kind is taken
     """A kind that is strong enough at its most, but shows as strongly as was asked by no amount that was tried."""
 
     def __init__(self, kind: str) -> None:
