@@ -116,7 +116,8 @@ def test_verdicts_of_another_version(folder: Path, changes: dict[str, str]) -> N
 
 @pytest.mark.parametrize("changes", [
     {"structure": None}, {"structure": {}}, {"set": []}, {"set": "vignetting"}, {"effects": [{"name": "vignetting"}]},
-    {"added": [1]}, {"solver": {"method": "twin"}}, {"seconds": "many"}, {"verdict": None}, {"known": None},
+    {"added": [1]}, {"solver": {"method": "twin"}}, {"solver": {"method": "anchored", "histories": None, "seed": 1}},
+    {"seconds": "many"}, {"verdict": None}, {"known": None},
 ])  # fmt: skip
 def test_a_damaged_verdict(folder: Path, changes: dict[str, Any]) -> None:
     """Each ended with a traceback of the line that read it."""
