@@ -53,8 +53,8 @@ def _check(record: Mapping[str, Any], field: str) -> None:
             if not isinstance(row, dict) or not set(wanted) <= set(row):
                 raise InputError(f"{field}: {name}", row, f"rows with {', '.join(wanted)}", MEND)
     if not {"p"} <= set(record["structure"]) or not _is_solver(record["solver"]):
-        wanted = "structure with p, solver with method and seed, and histories where it is no twin"
-        raise InputError(field, "structure or solver", wanted, MEND)
+        allowed = "structure with p, solver with method and seed, and histories where it is no twin"
+        raise InputError(field, "structure or solver", allowed, MEND)
     if record["verdict"] in ("one_effect", "cannot_tell_apart") and not record["set"]:
         raise InputError(f"{field}: set", record["set"], f"names, for the verdict is {record['verdict']}", MEND)
 
