@@ -16,9 +16,9 @@ STEPS = {
     "active_layer_depth": 0.2, "n_gan": 0.03, "n_aln": 0.03, "gan_layer_nm": 2.0, "aln_layer_nm": 2.0,
     "peak_nm": 3.0, "fwhm_nm": 3.0, "thickness_nm": 0.01, "a": 1e-4, "b_um2": 1e-5,
 }  # fmt: skip
-"""By the last part of a path, in its own unit. Those of chips are large: a moved chip is walked anew, and shorter
-steps leave more noise than longer ones bend (of the derivative by a layer at 0.99 T, 1.3 to 1.8 at 0.02, 0.6 to 0.8
-here, both from 65,536 histories)."""
+"""By the last part of a path, in its own unit. Those of chips are large: what emits elsewhere in the chip is walked
+anew, and shorter steps leave more noise than longer ones bend (of the derivative by a layer at 0.99 T, 1.3 to 1.8 at
+0.02, 0.6 to 0.8 here, both from 65,536 histories)."""
 SHARE = 0.02
 """Of a value, or of the range of its fit, where no step is stated."""
 
