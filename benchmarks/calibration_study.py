@@ -198,7 +198,10 @@ def drawn(
     truth: Truth, samples: Sequence[Sample], there: Evaluation, percent: float, seed: int, count: int, at: Model,
     engine: Diagnosing | None,
 ) -> Iterator[dict[str, Any]]:  # fmt: skip
-    """Further noise on a truth, fitted on the linear model at its fit: one null and one set of columns serve all."""
+    """Further noise on a truth, fitted on the linear model at its fit: one null and one set of columns serve all.
+
+    Columns of effects are those at that fit, which the worker knows when they are asked for a second time.
+    """
     camera = DECLARED.model_copy(update={"prnu_percent": percent})
     prepared: Any = None
     for turn in range(count):
@@ -212,7 +215,8 @@ def drawn(
             layout, projection = fit_layout(one), fit_projection(one)
             variances = Variances.of(layout, projection)
             drawn_null = null(layout, projection, variances.weight, NULL_DRAWS, seed)
-            effects = Projected.of(engine.signatures(one, engine.effects), projection) if engine else None
+            there_too = replace(one, model=there.model, values=there.values)  # one model for both patterns
+            effects = Projected.of(engine.signatures(there_too, engine.effects), projection) if engine else None
             prepared = white, (layout, projection, variances, drawn_null), other, effects
         p = judged(one.residual, *prepared[1]).p
         row = {"pulls": pulls(one, at), "p": p, "trusted": one.trusted, "chi2": one.chi2_per_row}
