@@ -63,6 +63,8 @@ class Sight:
     """Names of effects that the twin cannot represent (`Known.beyond_twin`)."""
     histories: int = HISTORIES
     seed: int = 1
+    run: int | None = None
+    """Of Monte Carlo, or of walks: what this one says, noise and all; None: what all of them agree about."""
     _known: dict[tuple[object, ...], tuple[Real, ...]] = field(default_factory=dict)
 
     def parts(
@@ -88,7 +90,7 @@ class Sight:
     ) -> list[tuple[Real, ...]]:
         """The same of several models, asked for together; by which run of Monte Carlo, or of the twin's walks.
 
-        All are lent the exits of one: the lender's, or the first model's. Curves are those of the first run.
+        All are lent the exits of one: the lender's, or the first model's. Curves are the same in every run.
         """
         wanted = tuple(range(len(self.views)) if views is None else views)
         traced = traced or self._is_beyond_twin(models)
@@ -102,7 +104,7 @@ class Sight:
                 else self._of_twin(new.values(), wanted, lender or models[0], 1 + run)
             )
             for (key, model), seen in zip(new.items(), images, strict=True):
-                self._known[key] = (*self._placed(seen, wanted), *(self._curves(model) if run == 0 else ()))
+                self._known[key] = (*self._placed(seen, wanted), *self._curves(model))
         return [self._known[key] for key in keys]
 
     def summed(
@@ -119,7 +121,8 @@ class Sight:
         `walks` : the twin's walks inside chips are two, too.
         """
         models, runs = [one.what for one in weighted], []
-        for run in range(RUNS if traced or walks or self._is_beyond_twin(models) else 1):
+        several = range(RUNS if traced or walks or self._is_beyond_twin(models) else 1)
+        for run in several if self.run is None else [self.run]:
             seen = self.parts_of(models, traced, views, lender, run)
             parts = [[one.weight * part for part in found] for one, found in zip(weighted, seen, strict=True)]
             runs.append([np.asarray(sum(of_models)) for of_models in zip(*parts, strict=True)])
@@ -291,7 +294,7 @@ def _columns(sight: Sight, moving: Sequence[_Moving], views: Sequence[int] | Non
     models = [step.what for several in steps for step in several]
     spec, lender = moving[0].spec, moving[0].model
     traced = not spec.twin
-    for run in range(1 if is_smooth(spec) else RUNS):
+    for run in range(1 if is_smooth(spec) else RUNS) if sight.run is None else [sight.run]:
         sight.parts_of(models, traced, views, lender, run)
     for one, several in zip(moving, steps, strict=True):
         parts = sight.summed(several, traced, views, lender, walks=spec.walks)
