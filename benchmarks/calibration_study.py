@@ -48,12 +48,12 @@ from validation.diagnosing import Diagnosing
 from validation.effects.known import Known
 from validation.fit import Fit, fit
 from validation.fit.image_fit import crossed, linearised
-from validation.fit.problem import Evaluation, ImagePredictor
+from validation.fit.problem import Evaluation
 from validation.fit.result import conclude
 from validation.measured import MeasuredImage
 from validation.noise import draw
 from validation.observed import Observed
-from validation.prediction import Anchored, Predicted, Predictor, View
+from validation.prediction import Anchored, Predictor
 
 Real = NDArray[np.float64]
 
@@ -77,26 +77,6 @@ class Truth:
     model: Model
     light: tuple[Real, ...]
     noise: tuple[Real, ...]
-
-
-class Told:
-    """A predictor that adds the truth's own noise to what it says of its noise."""
-
-    def __init__(self, predictor: ImagePredictor, truth: Truth) -> None:
-        self._predictor, self._truth = predictor, truth
-
-    def images(
-        self, model: Model, views: Sequence[View], paths: Sequence[str] = (), anchor: Anchored | None = None
-    ) -> list[Predicted]:
-        """As the predictor."""
-        found = self._predictor.images(model, views, paths, anchor)
-        if anchor is None or not anchor.histories:
-            return found
-        return [
-            replace(one, noise_per_mm2=np.concatenate([one.noise_per_mm2, more]))
-            for one, more in zip(found, self._truth.noise, strict=True)
-            if one.noise_per_mm2 is not None
-        ]
 
 
 def truth_of(model: Model, samples: Sequence[Sample], histories: int, seed: int) -> Truth:
@@ -176,8 +156,9 @@ def studied(number: int, predictor: Predictor, asked: argparse.Namespace, known:
     lit_s = time.perf_counter()
     seed = 10_000 * (number + 1)
     anchor_at = partial(anchor_of, asked.anchor, 7 + number)
-    found = fit(start_model(), measured(truth, samples, DECLARED, seed), Told(predictor, truth), anchor_at=anchor_at,
-                most_histories=asked.most)  # fmt: skip
+    knowing = predictor.knowing({sample.id: noise for sample, noise in zip(samples, truth.noise, strict=True)})
+    images = measured(truth, samples, DECLARED, seed)
+    found = fit(start_model(), images, knowing, anchor_at=anchor_at, most_histories=asked.most)
     fitted_s = time.perf_counter()
     row: dict[str, Any] = {
         "truth": number, "full": pulls(found, at), "trusted": found.trusted, "reasons": found.distrust,

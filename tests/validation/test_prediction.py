@@ -275,6 +275,19 @@ def test_an_anchored_image_is_monte_carlo_there(workers: Workers, model: Model) 
         np.testing.assert_allclose(errors[1], share * errors[0], atol=1e-9 * a.irradiance_per_mm2.max())
 
 
+def test_noise_that_data_have_of_their_own_is_told_beside_an_anchors(workers: Workers, model: Model) -> None:
+    """Of the samples that it is known of; the twin alone has none to add it to."""
+    of_data = np.full((2, 12, 12), 0.5)
+    plain, views = Predictor(workers), [view(), view(FOUR)]
+    knowing = plain.knowing({SINGLE.id: of_data})
+    at = Anchored(model, histories=1 << 17, seed=3)
+    (own, same), (both, other) = (predictor.images(model, views, (), at) for predictor in (plain, knowing))
+    assert own.noise_per_mm2 is not None
+    np.testing.assert_array_equal(both.noise_per_mm2, np.concatenate([own.noise_per_mm2, of_data]))
+    np.testing.assert_array_equal(other.noise_per_mm2, same.noise_per_mm2)
+    assert all(one.noise_per_mm2 is None for one in knowing.images(model, views))
+
+
 def test_an_anchor_is_seen_from_its_own_poses(workers: Workers, model: Model) -> None:
     """None are given: unmoved cameras, whatever the views'; as many as views, or it is refused."""
     predictor, pose = Predictor(workers), Pose((0.3, 0.0), 1.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -13,13 +14,16 @@ from luxloop.effect import EffectParameter, EffectSpec
 from luxloop.model_file import find_model
 from luxloop.settings import Settings
 from tests.running_set import RunningSet
+from tests.validation.workers import Workers
+from validation import self_diagnosis
 from validation.effects import example_set
+from validation.effects.checking import Finding
 from validation.effects.confounding import Confounding
 from validation.effects.confusing import image_ground
 from validation.effects.known import Known
 from validation.effects.signatures import Column
 from validation.prediction import Predictor
-from validation.self_diagnosis import SIGMA, loudest, self_diagnosed, verdict_on
+from validation.self_diagnosis import SIGMA, loudest, monte_carlo, self_diagnosed, verdict_on
 
 
 def parameter(name: str, **facts: Any) -> EffectParameter:
@@ -94,3 +98,34 @@ def test_an_effect_of_the_catalogue_finds_itself(settings: Settings, monkeypatch
     assert finding.ok, finding.said
     assert "corner_loss" in finding.said
     assert "20 sigma: one_effect: vignetting" in finding.said
+
+
+def test_the_noise_of_a_truth_is_told_and_falls_with_its_histories(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By half with four times as many; the images agree within it."""
+    predictor, found = Predictor(Workers(tmp_path)), []
+    for histories in (40_000, 160_000):
+        monkeypatch.setattr(self_diagnosis, "TRUTH_HISTORIES", histories)
+        found.append(monte_carlo(find_model("paper"), predictor))
+    (few, loud), (many, quiet) = found
+    assert 0.4 < quiet / loud < 0.65
+    for one, other in zip(few, many, strict=True):
+        assert one.irradiance_per_mm2.sum() == pytest.approx(other.irradiance_per_mm2.sum(), rel=0.02)
+
+
+def test_a_verdict_about_noisy_data_is_told_and_not_demanded(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of an effect that only Monte Carlo shows, or whose values have walks of their own."""
+    finding = Finding("self-diagnosis", False, "a 1 hidden, 20 sigma: none_of_the_known")
+    known = Known((), {}, {})
+    monkeypatch.setattr(self_diagnosis, "verdict_on", lambda *_: finding)
+    monkeypatch.setattr(self_diagnosis, "diagnosis", lambda *_: None)
+    ground: Any = SimpleNamespace(sight=SimpleNamespace(views=[1]), projection=None)
+    monkeypatch.setattr(self_diagnosis, "projected", lambda *_: np.array([[40.0]]))
+    mine = spec(parameter("a")).model_copy(update={"walks": True})
+    for noise, ok in ((0.1, False), (0.65, None)):
+        monkeypatch.setattr(self_diagnosis, "monte_carlo", lambda *_, share=noise: ([], share))
+        monkeypatch.setattr(self_diagnosis, "noisy_images", lambda *_: None)
+        told = self_diagnosed(ground, Predictor(SimpleNamespace()), known, find_model("paper"), mine, [column("a")])
+        assert told.ok is ok
+        assert ("not demanded" in told.said) == (ok is None)

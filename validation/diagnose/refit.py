@@ -243,15 +243,10 @@ def finished(found: Refitted, predictor: ImagePredictor, curves: CurvePredictor 
         return found
     if not is_smooth(spec):
         return _at_its_value(found, fit, predictor)
-    problem, values = replace(fit.problem, predictor=predictor, predict_curves=curves), fit.values
-    anew = None
-    if has_other_light(problem, values):
-        anew = fitted_anew(problem, problem.unknowns.named(values))
-    elif has_strayed(fit):
-        anew = about_its_own(problem, fit)
-    if anew is not None:
-        problem, values = anew.problem, anew.values
-    own, as_well = _best_words(found, problem, anew or _renewed(problem, values))
+    problem = replace(fit.problem, predictor=predictor, predict_curves=curves)
+    begun = _ended(problem, fit)
+    problem = replace(problem, anchor=begun.problem.anchor)
+    own, as_well = _best_words(found, problem, begun)
     lengths = [one for one in spec.parameters if one.off is None and not one.choices and one.name != CHIP]
     shapes = [one for one in lengths if one.shape_grid]
     if shapes and not found.candidate.is_switch:
@@ -263,6 +258,18 @@ def finished(found: Refitted, predictor: ImagePredictor, curves: CurvePredictor 
         if better.converged and not any(path in better.at_limit for path in limits):
             own = better
     return replace(_with(found, thawed(own, problem)), as_well=as_well)
+
+
+def _ended(problem: Problem, fit: Fit) -> Fit:
+    """A fit with derivatives of its own; about Monte Carlo of its own where it begins or ends far from the anchor."""
+    if has_other_light(problem, fit.values):
+        anew = fitted_anew(problem, problem.unknowns.named(fit.values))
+        if anew is not None:
+            return anew
+    if has_strayed(fit):
+        return about_its_own(problem, fit)
+    renewed = _renewed(problem, fit.values)
+    return about_its_own(problem, renewed) if has_strayed(renewed) else renewed
 
 
 def beside(found: Refitted, other: Refitted, base: Fit) -> Refitted:

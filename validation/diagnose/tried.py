@@ -68,10 +68,16 @@ class Tried:
             self.columns[self.short[likely].name] = self.projected.own(self.short[likely].best.candidate)
             self._keep(likely, found)
             least = WORTH * self.explanations[likely].drop
-            for number in sorted(set(range(len(self.short))) - ended):
+            for number in self._others(likely, ended):
                 if self.explanations[number].plausible and self.explanations[number].drop > least:
                     progress(0.9, f"fitting {self.short[number].name} beside {self.short[likely].name}")
                     self._keep(number, beside(self.refits[number], found, fit))
+
+    def _others(self, likely: int, ended: Collection[int]) -> list[int]:
+        """What is not at its end about Monte Carlo of its own."""
+        base, several = self.ground.fit.problem.anchor, [n for n in range(len(self.short)) if n != likely]
+        fits = {number: self.refits[number].fit for number in several}
+        return [n for n, fit in fits.items() if n not in ended or (fit is not None and fit.problem.anchor == base)]
 
     def _keep(self, number: int, found: Refitted) -> None:
         self.refits[number] = found

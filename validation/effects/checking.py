@@ -79,15 +79,14 @@ def _noisy_derivative(ground: Ground, model: Model, spec: EffectSpec) -> Iterato
     for number, one in enumerate(full[0]):
         (mean, noise), (other, more) = (_parted(ground, [run[number] for run in of]) for of in (full, halved))
         chance = float(noise @ noise)
-        length = float(mean @ mean) - chance
-        change = float((other - mean) @ (other - mean)) - chance - float(more @ more)
-        if length <= chance:
-            said = f"by {_name(one)}: more noise than effect, over the whole range: nothing can be said"
+        both, length = chance + float(more @ more), float(mean @ mean) - chance
+        if length <= both:
+            said = f"by {_name(one)}: with half the step more noise than effect: nothing can be said"
             yield Finding("derivative", None, said)
             continue
-        share = (max(change, 0.0) / length) ** 0.5
-        noisy = _percent(((chance + float(more @ more)) / length) ** 0.5)
-        said = f"by {_name(one)}: {_percent(share)} other with half the step, beyond the noise ({noisy})"
+        change = float((other - mean) @ (other - mean)) - both
+        share, noisy = ((part / length) ** 0.5 for part in (max(change, 0.0), both))
+        said = f"by {_name(one)}: {_percent(share)} other with half the step, beyond the noise ({_percent(noisy)})"
         ok = share <= STABLE
         yield Finding("derivative", ok, said if ok else said + _mend(ground, model, spec, number))
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Literal
 
 import numpy as np
@@ -13,7 +13,7 @@ from validation.dataset.spectra import SpectrumTable
 from validation.effects.signatures import Projection
 from validation.fit.whitening import Whitening
 from validation.measured import MeasuredImage, MeasuredSpectrum
-from validation.prediction import Curve, Predictor, View
+from validation.prediction import Curve, Predicted, Predictor, View
 
 CAMERA = CameraFacts(
     pixel_um=8.0, bit_depth=12, gain_dn_per_e=0.38, read_noise_e=6.0, full_well_e=10_000.0, black_level_dn=64.0
@@ -66,19 +66,23 @@ def samples() -> Iterator[Sample]:
             )  # fmt: skip
 
 
-def example_images(model: Model, predictor: Predictor, histories: int = 0, seed: int = 1) -> list[MeasuredImage]:
-    """Six images as the model itself would give them, without noise: what a data set of the paper's kind can tell.
+def example_images(model: Model, predictor: Predictor) -> list[MeasuredImage]:
+    """Six images as the twin sees the model, without noise: what a data set of the paper's kind can tell."""
+    return seen(predictor.images(model, example_views()))
 
-    Of the twin, or by so many histories of Monte Carlo each.
-    """
-    all_samples, middle = list(samples()), ((BINNED_PX - 1) / 2.0,) * 2
-    pixel_um = BINNING * CAMERA.pixel_um
-    views = [View(one, BINNED_PX, BINNED_PX, pixel_um, (middle[0], middle[1])) for one in all_samples]
+
+def example_views() -> list[View]:
+    """How the example camera sees the samples."""
+    middle, pixel_um = (BINNED_PX - 1) / 2.0, BINNING * CAMERA.pixel_um
+    return [View(one, BINNED_PX, BINNED_PX, pixel_um, (middle, middle)) for one in samples()]
+
+
+def seen(light: Sequence[Predicted]) -> list[MeasuredImage]:
+    """What the example camera makes of the light of its views, but for its noise."""
     peak_dn = PEAK_SHARE * (CAMERA.saturation_dn - CAMERA.black_level_dn)
-    found = predictor.monte_carlo(model, views, histories, seed) if histories else predictor.images(model, views)
     return [
         _image(sample, peak_dn * one.irradiance_per_mm2 / one.irradiance_per_mm2.max())
-        for sample, one in zip(all_samples, found, strict=True)
+        for sample, one in zip(samples(), light, strict=True)
     ]
 
 

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from copy import copy
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
 
 from luxloop.errors import RemoteError
 from validation.prediction import far_fields, images, spectra
@@ -31,11 +34,23 @@ class Predictor:
         self._client, self._catalogue = client, Catalogue(client)
         self._films = FilmTables(client, self._catalogue)
         self._progress: Progress | None = None
+        self._noise_of_data: Mapping[str, Real] = {}
 
     def telling(self, progress: Progress) -> Predictor:
         """The same; `progress` is told the share done of each long answer, and what is done, from several threads."""
         found = copy(self)
         found._progress = progress
+        return found
+
+    def knowing(self, noise_per_mm2: Mapping[str, Real]) -> Predictor:
+        """The same, for data that are Monte Carlo's own: their noise is told with that of an anchor.
+
+        Parameters
+        ----------
+        noise_per_mm2 : (function, row, column) by sample, as in `Predicted`. A laboratory's light has none.
+        """
+        found = copy(self)
+        found._noise_of_data = noise_per_mm2
         return found
 
     def images(
@@ -55,7 +70,8 @@ class Predictor:
         RemoteError : what a worker refuses, with the field of its shot.
         """
         wanted = images.Wanted(model, tuple(paths), anchor, self._films.of, self._catalogue.beyond_twin(model))
-        return self._again(lambda: images.predict(wanted, views, self._answers))
+        found = self._again(lambda: images.predict(wanted, views, self._answers))
+        return [self._with_noise_of_data(one, view) for one, view in zip(found, views, strict=True)]
 
     def several(self, wanted: Sequence[tuple[Model, View]], lender: Model, exit_seed: int = 1) -> list[Real]:
         """The twin's images (row, column) of views, each in a model of its own, as many together as a request holds.
@@ -99,6 +115,12 @@ class Predictor:
         """The far fields of modules by Monte Carlo, per flux of a chip; derivatives have common random numbers."""
         wanted = far_fields.Wanted(model, tuple(paths), histories, seed, self._films.of)
         return self._again(lambda: far_fields.predict(wanted, views, self._answers))
+
+    def _with_noise_of_data(self, found: Predicted, view: View) -> Predicted:
+        own, of_data = found.noise_per_mm2, self._noise_of_data.get(view.sample.id)
+        if own is None or of_data is None:
+            return found
+        return replace(found, noise_per_mm2=np.concatenate([own, of_data]))
 
     def _answers(self, requests: Sequence[Any], heard: Heard | None = None) -> list[Answer]:
         """The answers to requests, in their order; the first failure is raised."""
