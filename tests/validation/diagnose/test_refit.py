@@ -324,18 +324,26 @@ def test_a_parameter_far_from_where_the_anchor_has_it_has_strayed(base: Fit) -> 
     assert not has_strayed(replace(moved, problem=replace(base.problem, anchor=replace(anchor, histories=0))))
 
 
-def test_what_has_strayed_is_fitted_about_its_own_monte_carlo_and_rivals_beside_it() -> None:
-    """The twin's error is that at the anchor: the halo takes far away, and what is named has an anchor there."""
+@pytest.mark.parametrize("begins_there", [True, False])
+def test_what_has_strayed_is_fitted_about_its_own_monte_carlo_and_rivals_beside_it(begins_there: bool) -> None:
+    """The twin's error is that at the anchor: the halo takes far away, and what is named has an anchor there.
+
+    Also where it begins at the anchor, and strays while derivatives of its own are taken.
+    """
     images = noisy(lambda view: Affected().images(HIDDEN, [view])[0].irradiance_per_mm2, 6)
     base = fit(MODEL, images, Affected(), free=PATHS, anchor_at=lambda model: Anchored(model, ANCHORED, seed=7))
     wide, slopes = base.error(HALO), slopes_of(base)
     ripple = freed(base, smooth_score_of(base), slopes)
     assert ripple.fit is not None
-    problem = replace(
-        ripple.fit.problem,
-        anchor=replace(base.problem.anchor, model=base.model.with_value(HALO, base.value(HALO) - 20.0 * wide)),
-    )
-    strayed = replace(ripple, fit=replace(ripple.fit, problem=problem))
+    about_another = base.model.with_value(HALO, base.value(HALO) - 20.0 * wide)
+    problem = replace(ripple.fit.problem, anchor=replace(base.problem.anchor, model=about_another))
+    values = ripple.fit.values.copy()
+    if begins_there:
+        there = about_another.leaves()
+        for path in PATHS:
+            values[ripple.fit.names.index(path)] = there[path]
+    strayed = replace(ripple, fit=replace(ripple.fit, problem=problem, values=values))
+    assert has_strayed(strayed.fit) != begins_there
     ended = finished(strayed, Affected(), None)
     assert ended.fit is not None
     about = ended.fit.problem.anchor
