@@ -109,8 +109,6 @@ class {Name}(SceneEffect):
 
 EMISSION = '''"""{title}: the chip shines more on one side."""
 
-from dataclasses import replace
-
 import numpy as np
 
 from containers.effect import SceneEffect, parameter, with_emission
@@ -131,8 +129,8 @@ class {Name}(SceneEffect):
     def scene(self, scene: Scene) -> Scene:
         if not self.lean:
             return scene
-        weight = 1.0 + self.lean * np.linspace(-1.0, 1.0, 16) * np.ones((16, 1))
-        return with_emission(scene, lambda emission: replace(emission, position=weight))
+        weights = 1.0 + self.lean * np.linspace(-1.0, 1.0, 16) * np.ones((16, 1))
+        return with_emission(scene, lambda emission: emission.by_place(weights))
 '''
 
 GEOMETRY = '''"""{title}: the receiver stands elsewhere."""
