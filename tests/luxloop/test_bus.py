@@ -189,7 +189,7 @@ def test_presence_comes_and_goes(new_bus: NewBus) -> None:
     assert seen == {Presence(keys[0], alive=True), Presence(keys[1], alive=True)}
     late.close()
     assert inbox.take(5.0) == Presence(keys[1], alive=False)
-    wait_for(lambda: watcher.present(expr) == {keys[0]}, "the token that is left")  # amid a close an answer was once empty
+    wait_for(lambda: watcher.present(expr) == {keys[0]}, "the token left")  # amid a close one answer was empty
 
 
 def test_presence_is_kept_when_the_inbox_is_full() -> None:
