@@ -223,8 +223,11 @@ class Dispatcher:
                 self._perform(self.core.handle(e.Withdrawn(time.monotonic(), task_id)))
 
     def _lives(self, designer: str) -> bool:
-        """Whether a designer's process is there."""
-        return bool(self._bus.present(at(self._settings.realm, "alive", role="designer", name=designer)))
+        """Whether a designer's process is there; it is not given up while the router does not say."""
+        try:
+            return bool(self._bus.present(at(self._settings.realm, "alive", role="designer", name=designer)))
+        except RemoteError:
+            return True
 
     def _tell_runs(self) -> None:
         """Tell the runs what came of the tasks they wanted, which may make them want more."""

@@ -145,7 +145,11 @@ class Bus(Protocol):
         ...
 
     def present(self, key_expr: str) -> frozenset[str]:
-        """The liveliness keys that are held now."""
+        """The liveliness keys that are held now, of expressions that this bus does not watch itself.
+
+        Of those it does, zenoh's answer may be empty for some ms after a token has left. Raises RemoteError where the
+        router does not say: silence is nobody's absence.
+        """
         ...
 
     def watch(self, key_expr: str, inbox: Inbox) -> None:

@@ -29,6 +29,7 @@ from luxloop.settings import Settings
 
 LEASE_MS = 4000
 OPEN_MS = 3000
+PRESENT_S = 2.0
 RECEIVE_BYTES = 4 * FRAME_BYTES  # above what any frame may have, so that a too large one gets a clear answer
 
 
@@ -107,7 +108,11 @@ class ZenohBus:
         self._kept.append(self._session.liveliness().declare_token(key))
 
     def present(self, key_expr: str) -> frozenset[str]:
-        replies = self._session.liveliness().get(key_expr, timeout=2.0)
+        replies = list(self._session.liveliness().get(key_expr, timeout=PRESENT_S))
+        if any(reply.ok is None for reply in replies):
+            raise RemoteError(Failure(code="timed_out", message=f"no answer within {PRESENT_S:g} s", where=key_expr))
+        if not self.connected():
+            raise RemoteError(_unreachable(self._settings, self._identity))
         return frozenset(str(reply.ok.key_expr) for reply in replies if reply.ok is not None)
 
     def watch(self, key_expr: str, inbox: Inbox) -> None:

@@ -65,6 +65,17 @@ def test_light_is_born_where_the_weights_are() -> None:
     assert rays[:, Z] == pytest.approx(np.full(DRAWS, 0.25 * 35.0))
 
 
+def test_weights_on_another_grid_multiply_those_that_are_there() -> None:
+    """Halves times thirds: at each place the product of both, whatever their cells."""
+    halves, thirds = np.array([[1.0, 3.0], [2.0, 5.0]]), np.array([[7.0, 1.0, 2.0], [4.0, 6.0, 0.0], [1.0, 9.0, 8.0]])
+    weights = Emission(position=halves).by_place(thirds).position
+    rows, columns = weights.shape
+    for (row, column), weight in np.ndenumerate(weights):
+        y, x = (row + 0.5) / rows, (column + 0.5) / columns
+        assert weight == halves[int(2 * y), int(2 * x)] * thirds[int(3 * y), int(3 * x)]
+    assert rows % 6 == columns % 6 == 0
+
+
 def test_lamberts_light_begins_on_the_top() -> None:
     """z = T, cos^2 uniform."""
     rays, _ = born(scene(emission=Emission(from_top=True)))

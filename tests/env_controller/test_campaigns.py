@@ -19,6 +19,7 @@ from luxloop.bus.frame import decode, encode
 from luxloop.bus.keys import HOLD_S, at
 from luxloop.campaign import Action, AgentRecord, Begin, Begun, End, Ended, Fidelity, Move, Note, Plan, Step
 from luxloop.design import Bounds, Design
+from luxloop.errors import RemoteError
 from luxloop.failure import Failure
 from luxloop.journal import reader
 from luxloop.journal.topics import Record, ValidationStep
@@ -354,6 +355,24 @@ def test_a_silent_designer_that_lives_keeps_its_run(desk: Desk) -> None:
         campaigns_of.tick(later_s)
         assert "one" in campaigns_of.runs
     campaigns_of.tick(later_s)
+    assert not campaigns_of.runs
+
+
+def test_no_run_is_closed_while_the_router_does_not_say_who_is_there(
+    desk: Desk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A router that is started again answers nobody for a moment: its designers are not gone."""
+
+    def silent(*_: object) -> None:
+        raise RemoteError(Failure(code="no_router", message="no router"))
+
+    campaigns_of = desk.controller._campaigns
+    desk.begin()
+    with monkeypatch.context() as patched:
+        patched.setattr(LocalBus, "present", silent)
+        campaigns_of.tick(time.monotonic() + 10.0 * campaigns.SILENT_S)
+        assert "one" in campaigns_of.runs
+    campaigns_of.tick(time.monotonic() + 10.0 * campaigns.SILENT_S)
     assert not campaigns_of.runs
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import subprocess
 import threading
 import time
@@ -177,11 +178,11 @@ def test_publications_arrive_in_order(new_bus: NewBus) -> None:
 
 def test_presence_comes_and_goes(new_bus: NewBus) -> None:
     """A watcher sees tokens held before it came, new ones, and their end when the holder closes."""
-    watcher, early, late = new_bus(), new_bus(), new_bus()
+    watcher, asker, early, late = new_bus(), new_bus(), new_bus(), new_bus()
     expr = at("luxloop", "alive", role="worker")
     keys = [at("luxloop", "alive", role="worker", kind="film", name=name) for name in ("w1", "w2")]
     early.announce(keys[0])
-    wait_for(lambda: watcher.present(expr) == {keys[0]}, "the first token")
+    wait_for(lambda: asker.present(expr) == {keys[0]}, "the first token")
     inbox = Inbox()
     watcher.watch(expr, inbox)
     late.announce(keys[1])
@@ -189,7 +190,25 @@ def test_presence_comes_and_goes(new_bus: NewBus) -> None:
     assert seen == {Presence(keys[0], alive=True), Presence(keys[1], alive=True)}
     late.close()
     assert inbox.take(5.0) == Presence(keys[1], alive=False)
-    wait_for(lambda: watcher.present(expr) == {keys[0]}, "the token left")  # amid a close one answer was empty
+    assert asker.present(expr) == {keys[0]}
+
+
+def test_who_is_there_is_not_said_where_the_router_does_not_answer(
+    router: subprocess.Popen[bytes], settings: Settings
+) -> None:
+    """Stopped or gone: a failure, not "nobody", which would close the runs of designers that wait."""
+    token = at("luxloop", "alive", role="designer", kind="designer", name="d1")
+    with ZenohBus(settings) as designer, ZenohBus(settings) as asker:
+        designer.announce(token)
+        wait_for(lambda: asker.present(token) == {token}, "the token")
+        router.send_signal(signal.SIGSTOP)
+        try:
+            assert failure_of(lambda: asker.present(token)).code == "timed_out"
+        finally:
+            router.send_signal(signal.SIGCONT)
+        stop(router)
+        wait_for(lambda: not asker.connected(), "the loss to be seen")
+        assert failure_of(lambda: asker.present(token)).code == "no_router"
 
 
 def test_presence_is_kept_when_the_inbox_is_full() -> None:

@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 
 from luxloop.effect import EffectSpec
 from validation.diagnose import held_out as held
+from validation.diagnose.ending import beside, finished, is_stuck, unstuck
 from validation.diagnose.evidence import group_log_evidence, log_evidence
 from validation.diagnose.frozen import slopes_of
 from validation.diagnose.ground import Ground
-from validation.diagnose.refit import Refitted, beside, finished, is_stuck, limits_of, refit, unstuck
+from validation.diagnose.refit import Refitted, limits_of, refit
 from validation.diagnose.score import EffectScore, Projected, Scores
 from validation.diagnose.verdict import ALIKE, Explanation
 from validation.effects.confounding import Confounding, left_beside

@@ -18,13 +18,14 @@ from validation.contrasts.structure import fit_projection
 from validation.diagnose.columns import FitSight, candidates_of
 from validation.diagnose.diagnosis import beyond_limits, trusted
 from validation.diagnose.document import document, effect_document
+from validation.diagnose.ending import finished
 from validation.diagnose.evidence import group_log_evidence
 from validation.diagnose.explained import Share
 from validation.diagnose.frozen import slopes_of
 from validation.diagnose.held_out import same_rows
 from validation.diagnose.in_words import FEW, limits, limits_in_words
 from validation.diagnose.ladder import Rung
-from validation.diagnose.refit import finished, refit
+from validation.diagnose.refit import refit
 from validation.diagnose.score import Projected, scores
 from validation.diagnose.verdict import LEVEL
 from validation.fit import NOT_CONVERGED, fit

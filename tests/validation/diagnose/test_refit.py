@@ -19,16 +19,9 @@ from tests.validation.analytic import ARRAY, HALO, MODEL, PATHS, SIGMA, SINGLE, 
 from tests.validation.diagnose.made_up import GAIN, THIRD, Affected, seen, spec
 from validation.dataset.manifest import Sample
 from validation.diagnose.anew import fitted_anew, has_other_light, has_strayed
+from validation.diagnose.ending import beside, finished, is_stuck, unstuck
 from validation.diagnose.frozen import FrozenImages, frozen_at, slopes_of, without
-from validation.diagnose.refit import (
-    Refitted,
-    beside,
-    finished,
-    freed,
-    is_stuck,
-    switched,
-    unstuck,
-)
+from validation.diagnose.refit import Refitted, freed, switched
 from validation.diagnose.score import Candidate, Score
 from validation.effects.known import applied, with_effect
 from validation.effects.signatures import Column, Projection

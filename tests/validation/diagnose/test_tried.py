@@ -1,0 +1,58 @@
+"""What of a short list is fitted to its end, and beside what."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from validation.diagnose import tried
+from validation.diagnose.tried import Tried
+
+FIRST, OWN, RIVALS = "the base's anchor", "an anchor of its own", "the rival's anchor"
+
+
+def one(name: str, drop: float, anchor: str, gap: float = 0.0) -> Any:
+    """An effect's refit, as far as the order of ends asks for it."""
+    spec = SimpleNamespace(name=name, twin=True, walks=False, parameters=())
+    fit = SimpleNamespace(gap=gap, problem=SimpleNamespace(anchor=anchor))
+    return SimpleNamespace(name=name, drop=drop, plausible=True, fit=fit, candidate=SimpleNamespace(effect=spec))
+
+
+@pytest.mark.parametrize(
+    ("ends", "again"),
+    [((FIRST, OWN), ["truth beside rival"]), ((RIVALS, OWN), []), ((FIRST, FIRST), ["truth beside rival"])],
+)
+def test_what_ended_about_the_first_monte_carlo_is_compared_about_its_rivals(
+    ends: tuple[str, str], again: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An end about Monte Carlo of its own stays; `beside` leaves those alone whose rival has none."""
+    moved = dict(zip(("truth", "rival"), ends, strict=True))
+    asked: list[str] = []
+
+    def finished(found: Any, *_: Any) -> Any:
+        # the truth's end promises less than the rival still does, which is then fitted to its end, too
+        return one(found.name, 90.0 if found.name == "truth" else 99.0, moved[found.name])
+
+    def beside(found: Any, other: Any, _: Any) -> Any:
+        asked.append(f"{found.name} beside {other.name}")
+        return found
+
+    monkeypatch.setattr(tried, "finished", finished)
+    monkeypatch.setattr(tried, "beside", beside)
+    monkeypatch.setattr(tried, "as_fitted", lambda _, score, __: score)
+    monkeypatch.setattr(tried, "is_smooth", lambda _: True)
+    monkeypatch.setattr(tried, "_explanation", lambda _, __, found, *___: found)
+    ground: Any = SimpleNamespace(
+        fit=SimpleNamespace(problem=SimpleNamespace(anchor=FIRST, predictor=None, predict_curves=None))
+    )
+    short: list[Any] = [
+        SimpleNamespace(name=name, best=SimpleNamespace(candidate=None)) for name in ("truth", "rival")
+    ]
+    refits = [one("truth", 100.0, FIRST), one("rival", 95.0, FIRST)]
+    projected: Any = SimpleNamespace(own=lambda _: None)
+    list_of = Tried(ground, projected, {}, short, refits, list[Any](refits))
+    list_of.finish(lambda *_: None)
+    assert asked == ["rival beside truth", *again]
+    assert [found.fit.problem.anchor for found in list_of.refits] == list(ends)
