@@ -136,7 +136,8 @@ def calibration(document: Document) -> Iterator[str]:
     if document.get("version") is None:
         yield f"{document['model']['file']} is as it was."
     else:
-        yield f"{document['model']['file']} is version {document['version']}; luxloop model undo takes it back."
+        file = document["model"]["file"]
+        yield f"{file} is version {document['version']}; luxloop model undo {file} takes it back."
 
 
 def _fitted(row: Document) -> tuple[str, ...]:

@@ -110,7 +110,8 @@ def added(document: Document) -> Iterator[str]:
     if document["version"] is None:
         yield f"{document['model']['file']} is as it was."
     else:
-        yield f"{document['model']['file']} is version {document['version']}; undo: luxloop model undo"
+        file = document["model"]["file"]
+        yield f"{file} is version {document['version']}; undo: luxloop model undo {file}"
 
 
 def _fitted_values(rows: Sequence[Document]) -> Iterator[str]:

@@ -51,6 +51,10 @@ class FitSight(Sight):
         known = {} if traced is None else traced
         return cls(predictor, views, (), beyond_twin, seed=seed, problem=fit.problem, others=others, traced=known)
 
+    def closer(self, histories: int, traced: dict[tuple[object, ...], list[Column]]) -> FitSight:
+        """The same with so many histories of Monte Carlo, and columns by so many that are known."""
+        return replace(self, histories=histories, traced=traced, _known={})
+
     def signature(self, model: Model, spec: EffectSpec, shape: Mapping[str, Value]) -> list[Column]:
         """The columns of an effect in a shape."""
         if spec.twin:

@@ -34,6 +34,8 @@ from validation.effects.confounding import Confounding, confounding
 from validation.fit import NOT_CONVERGED, Fit
 
 MOST_STEPS = 3
+LEAST_SEEN = 0.25
+"""Of the largest drop of chi2: what noise may leave of the true effect's (walls: columns agreed by 0.5 to 0.7)."""
 LITTLE = 0.02
 """Of chi2, that a fit without a missing effect may leave to be gained."""
 
@@ -44,6 +46,8 @@ class Means:
 
     signatures: Callable[[Fit, Sequence[EffectSpec]], list[Candidate]]
     """The whitened columns of effects at a fit: for each parameter with an off value, in each of its shapes."""
+    closely: Callable[[Fit, Sequence[EffectSpec]], list[Candidate]]
+    """The same of effects that only Monte Carlo shows, with less of its noise."""
     ground_of: Callable[[Fit], Ground]
     """The structure of a further fit, with a null of its own."""
     next_image: Callable[[Fit, Sequence[Refitted]], str]
@@ -128,11 +132,17 @@ def _step(ground: Ground, effects: Sequence[EffectSpec], means: Means, seed: int
         nobody = Confounding((), np.zeros((0, 0)))
         return Step(ground, Scores((), 1.0, 0, ()), nobody, (), (), not_trustworthy(doubts))
     means.progress(0.1, "signatures of the effects")
-    projected = Projected.of(means.signatures(fit, effects), ground.projection)
-    scored = scores(projected, fit.residual, fit.variance_scale, seed=seed)
+    candidates = means.signatures(fit, effects)
+    projected, scored = _scored(ground, candidates, seed)
+    visible = is_visible(ground.structure.p, scored.p, level)
+    if visible and (faint := blurred(scored)):
+        means.progress(0.18, "signatures by more Monte Carlo")
+        closer = means.closely(fit, [one for one in effects if one.name in faint])
+        candidates = [one for one in candidates if one.effect.name not in faint] + closer
+        projected, scored = _scored(ground, candidates, seed)
     best = {one.name: projected.own(one.best.candidate) for one in scored.effects}
     alike = confounding(best)
-    if not is_visible(ground.structure.p, scored.p, level):
+    if not visible:
         verdict = not_trustworthy(fit.distrust) if fit.distrust else nothing_visible(limits_in_words(scored, level))
         return Step(ground, scored, alike, (), (), verdict)
     tried = Tried(ground, projected, best, short_list(scored, alike))
@@ -145,6 +155,21 @@ def _step(ground: Ground, effects: Sequence[EffectSpec], means: Means, seed: int
 
     verdict = decided(tried.explanations, len(effects), lambda: left_in_words(ground), next_image, level)
     return Step(ground, scored, alike, tuple(tried.refits), tuple(tried.explanations), verdict)
+
+
+def _scored(ground: Ground, candidates: Sequence[Candidate], seed: int) -> tuple[Projected, Scores]:
+    projected = Projected.of(candidates, ground.projection)
+    return projected, scores(projected, ground.fit.residual, ground.fit.variance_scale, seed=seed)
+
+
+def blurred(scored: Scores) -> set[str]:
+    """Names of effects whose columns are Monte Carlo's, with noise that may be why others score better.
+
+    A column that agrees with the true one by r shows r^2 of its drop, and r^2 of its size.
+    """
+    most = max((one.best.drop for one in scored.effects), default=0.0)
+    noisy = [one for one in scored.effects if not one.best.candidate.effect.twin]
+    return {one.name for one in noisy if one.best.drop > LEAST_SEEN * most > 0.0}
 
 
 def beyond_limits(fit: Fit) -> list[str]:

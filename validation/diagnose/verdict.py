@@ -152,7 +152,7 @@ def decided(
         return doubted(best)
     alike = [one for one in others if _alike(best, one)]
     names = (best.name, *(one.name for one in alike))
-    rivals = [one for one in alike if best.sigma_rival.get(one.name, best.sigma) < TOLD_APART]
+    rivals = [one for one in alike if _sigma_apart(best, one) < TOLD_APART]
     if rivals:
         told = [best.name, *(one.name for one in rivals)]
         return Verdict(
@@ -189,6 +189,15 @@ def _alike(best: Explanation, other: Explanation) -> bool:
     within = math.sqrt(max(best.drop, 0.0)) - math.sqrt(max(other.drop, 0.0)) < NOISE_SIGMA
     by_noise = within and best.drop - other.drop < NOISE_DROP
     return by_noise or other.drop > (1.0 - 2.0 * ALIKE) * best.drop
+
+
+def _sigma_apart(best: Explanation, other: Explanation) -> float:
+    """By how many sigma the data tell a rival from the best: by their columns, and no better than by their fits.
+
+    Columns are those of the fit without either, which may be at a limit; fits have left it, each in its own way.
+    """
+    by_columns = best.sigma_rival.get(other.name, best.sigma)
+    return min(by_columns, math.sqrt(max(best.drop - other.drop, 0.0)))
 
 
 def _next_best(other: Explanation) -> str:

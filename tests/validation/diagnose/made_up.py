@@ -144,5 +144,5 @@ def diagnosis(
         sight = FitSight.of(at, predictor)  # type: ignore[arg-type]  # it predicts as a predictor does
         return candidates_of(at, effects, sight)
 
-    means = Means(signatures, ground_of, lambda *_: "Take one image: another.")
+    means = Means(signatures, signatures, ground_of, lambda *_: "Take one image: another.")
     return diagnosed(ground_of(base), known, means)

@@ -347,6 +347,7 @@ def test_what_has_strayed_is_fitted_about_its_own_monte_carlo_and_rivals_beside_
     assert moved.fit.problem.anchor == about
     assert moved.chi2 == pytest.approx(ended.chi2, abs=0.5)
     assert beside(ripple, ripple, base) is ripple
+    assert beside(ended, replace(moved, fit=replace(moved.fit, problem=strayed.fit.problem)), base) is ended
 
 
 def test_a_refit_at_a_limit_is_made_anew_from_where_the_model_began(base: Fit) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 from validation.diagnose import tried
+from validation.diagnose.diagnosis import blurred
 from validation.diagnose.tried import Tried
 
 FIRST, OWN, RIVALS = "the base's anchor", "an anchor of its own", "the rival's anchor"
@@ -56,3 +57,19 @@ def test_what_ended_about_the_first_monte_carlo_is_compared_about_its_rivals(
     list_of.finish(lambda *_: None)
     assert asked == ["rival beside truth", *again]
     assert [found.fit.problem.anchor for found in list_of.refits] == list(ends)
+
+
+@pytest.mark.parametrize(
+    ("drop", "twin", "names"), [(20.0, False, {"walls"}), (20.0, True, set()), (5.0, False, set())]
+)
+def test_columns_of_monte_carlo_that_noise_may_have_blurred_are_looked_at_closely(
+    drop: float, twin: bool, names: set[str]
+) -> None:
+    """Those that score a quarter of the best or more; the twin's own have no such noise."""
+
+    def score(name: str, of: float, known: bool) -> Any:
+        candidate = SimpleNamespace(effect=SimpleNamespace(name=name, twin=known))
+        return SimpleNamespace(name=name, best=SimpleNamespace(drop=of, candidate=candidate))
+
+    scored: Any = SimpleNamespace(effects=(score("chip", 33.0, True), score("walls", drop, twin)))
+    assert blurred(scored) == names

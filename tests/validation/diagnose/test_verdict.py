@@ -49,3 +49,11 @@ def test_what_explains_next_to_nothing_is_not_named_while_structure_is_left(erro
     one = replace(explanation("gradient", 10.0, Share(0.01, error), {}), p_left=0.0001)
     assert decided([one], 4, lambda: "stripes.", lambda _: "").word == word
     assert decided([replace(one, p_left=0.3)], 4, lambda: "", lambda _: "").word == "one_effect"
+
+
+@pytest.mark.parametrize(("other", "word"), [(620.0, "cannot_tell_apart"), (600.0, "one_effect")])
+def test_rivals_are_told_apart_no_better_than_their_fits_are(other: float, word: str) -> None:
+    """Columns of a fit at a limit said 7 sigma; 19 of chi2 are 4.4, 39 are 6.2."""
+    share = Share(0.98, 0.03)
+    tried = [explanation("lobe", 639.0, share, {"far": 7.0}), explanation("far", other, share, {"lobe": 7.0})]
+    assert decided(tried, 32, lambda: "", lambda _: "").word == word
