@@ -69,16 +69,15 @@ class Tried:
             self.columns[self.short[likely].name] = self.projected.own(self.short[likely].best.candidate)
             self._keep(likely, found)
             least = WORTH * self.explanations[likely].drop
-            for number in self._others(likely, ended):
+            for number in self._about_the_first(likely):
                 if self.explanations[number].plausible and self.explanations[number].drop > least:
                     progress(0.9, f"fitting {self.short[number].name} beside {self.short[likely].name}")
                     self._keep(number, beside(self.refits[number], found, fit))
 
-    def _others(self, likely: int, ended: Collection[int]) -> list[int]:
-        """What is not at its end about Monte Carlo of its own."""
-        base, several = self.ground.fit.problem.anchor, [n for n in range(len(self.short)) if n != likely]
-        fits = {number: self.refits[number].fit for number in several}
-        return [n for n, fit in fits.items() if n not in ended or (fit is not None and fit.problem.anchor == base)]
+    def _about_the_first(self, likely: int) -> list[int]:
+        """What else is fitted about the Monte Carlo of the fit without an effect, at its end or not."""
+        base, fits = self.ground.fit.problem.anchor, [one.fit for one in self.refits]
+        return [n for n, fit in enumerate(fits) if n != likely and fit is not None and fit.problem.anchor == base]
 
     def _keep(self, number: int, found: Refitted) -> None:
         self.refits[number] = found

@@ -4,7 +4,8 @@
     nothing_visible       neither structure nor any effect's score is unlikely, each at half the level
     none_of_the_known     the best effect explains less than half of the structure by an error (by two, where the
                           share is known to no better than 0.15), and structure is left
-    cannot_tell_apart     a rival explains nearly as much, and less than 5 sigma would be left of the one beside it
+    cannot_tell_apart     a rival explains nearly as much, and less than 5 sigma would be left of the one beside it,
+                          or the two fits are nearer to each other than that
     one_effect            else
 
 A rival explains nearly as much where its share is within 0.1 of the best. Where shares are known to no better than
