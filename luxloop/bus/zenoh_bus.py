@@ -18,7 +18,8 @@ from typing import Any
 import zenoh
 
 from luxloop.bus import Asked, Heard, Inbox, Interrupt, Presence, busy, too_large
-from luxloop.bus.access import Role, access_control
+from luxloop.bus.access import Role
+from luxloop.bus.configuration import of_client, of_router
 from luxloop.bus.frame import FRAME_BYTES
 from luxloop.bus.identity import Identity, answering, refusal
 from luxloop.bus.keys import KEYS, at, name_of
@@ -27,10 +28,7 @@ from luxloop.errors import RemoteError
 from luxloop.failure import Code, Failure
 from luxloop.settings import Settings
 
-LEASE_MS = 4000
-OPEN_MS = 3000
 PRESENT_S = 2.0
-RECEIVE_BYTES = 4 * FRAME_BYTES  # above what any frame may have, so that a too large one gets a clear answer
 
 
 class ZenohBus:
@@ -43,7 +41,7 @@ class ZenohBus:
         self._settings, self._identity = settings, Identity.of(settings, role)
         if patient:
             _wait_for_router(settings, self._identity)
-        self._session = _open(_client_config(settings, self._identity, patient), settings, self._identity)
+        self._session = _open(of_client(settings, self._identity, patient=patient), settings, self._identity)
         self._kept: list[Any] = []
         self._closed = False
 
@@ -179,11 +177,7 @@ def run_router(settings: Settings, stop: threading.Event) -> None:
     Raises RemoteError where it cannot listen there, InputError where its certificate cannot be used.
     """
     identity = Identity.of(settings, "router")
-    config = _base_config("router", identity)
-    config.insert_json5("listen", json.dumps({"endpoints": [settings.router], "exit_on_failure": True}))
-    if identity is not None:
-        config.insert_json5("access_control", json.dumps(access_control()))
-    session = _open(config, settings, identity, as_router=True)
+    session = _open(of_router(settings, identity), settings, identity, as_router=True)
     try:
         stop.wait()
     finally:
@@ -203,47 +197,12 @@ def _wait_for_router(settings: Settings, identity: Identity | None) -> None:
         raise RemoteError(failure)
 
 
-def _base_config(mode: str, identity: Identity | None) -> zenoh.Config:
-    config = zenoh.Config()
-    if identity is not None:
-        config.insert_json5("transport/link/tls", json.dumps(_tls(identity)))
-        config.insert_json5("transport/link/protocols", json.dumps(["tls"]))
-    for path, value in {
-        "mode": mode,
-        "scouting/multicast/enabled": False,
-        "scouting/gossip/enabled": False,
-        "transport/link/tx/lease": LEASE_MS,
-        "transport/link/rx/max_message_size": RECEIVE_BYTES,
-        "transport/shared_memory/enabled": False,
-        "queries_default_timeout": 10000,
-    }.items():
-        config.insert_json5(path, json.dumps(value))
-    return config
-
-
-def _tls(identity: Identity) -> dict[str, Any]:
-    """Both sides show a certificate of the one CA; the router's must be for the host that was asked for."""
-    own = str(identity.own)
-    sides = {f"{side}_{what}": own for side in ("listen", "connect") for what in ("certificate", "private_key")}
-    checks = dict.fromkeys(("enable_mtls", "verify_name_on_connect", "close_link_on_expiration"), True)
-    return {"root_ca_certificate": str(identity.ca)} | sides | checks
-
-
-def _client_config(settings: Settings, identity: Identity | None, patient: bool) -> zenoh.Config:
-    config = _base_config("client", identity)
-    connect = {
-        "endpoints": [settings.router],
-        "timeout_ms": -1 if patient else OPEN_MS,
-        "exit_on_failure": not patient,
-        "retry": {"period_init_ms": 100, "period_max_ms": 1000, "period_increase_factor": 2},
-    }
-    config.insert_json5("connect", json.dumps(connect))
-    return config
-
-
 def _open(
-    config: zenoh.Config, settings: Settings, identity: Identity | None, *, as_router: bool = False
+    told: dict[str, object], settings: Settings, identity: Identity | None, *, as_router: bool = False
 ) -> zenoh.Session:
+    config = zenoh.Config()
+    for path, value in told.items():
+        config.insert_json5(path, json.dumps(value))
     zenoh.init_log_from_env_or("off")  # what goes wrong is said by our own errors; RUST_LOG shows zenoh's side
     try:
         return zenoh.open(config)

@@ -34,7 +34,7 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[SecuredSet]:
 def _impatient(monkeypatch: pytest.MonkeyPatch) -> None:
     """A session is tried for 0.4 s, not for 3 s, a handshake for 1 s: most of these never come to be."""
     monkeypatch.setattr("luxloop.bus.identity.HANDSHAKE_S", 1.0)
-    monkeypatch.setattr("luxloop.bus.zenoh_bus.OPEN_MS", 400)
+    monkeypatch.setattr("luxloop.bus.configuration.OPEN_MS", 400)
 
 
 def goes_on(lab: SecuredSet) -> bool:
