@@ -14,6 +14,8 @@ from importlib.metadata import distributions, entry_points
 from pathlib import Path
 from typing import Any, Literal
 
+from pydantic import TypeAdapter, ValidationError
+
 from agent.campaign import INTERRUPTED, Runner
 from agent.checkpoints import Checkpoints
 from agent.config import Campaign
@@ -23,7 +25,7 @@ from agent.live import live
 from agent.moves import Space
 from agent.progress import WALK, Found, Past, Progress
 from luxloop import __version__
-from luxloop.campaign import Ended, Plan, Step
+from luxloop.campaign import Ended, Plan, RunId, Step
 from luxloop.client import Client
 from luxloop.door import LOST_S, RunDoor
 from luxloop.endpoint import listening
@@ -80,8 +82,8 @@ def launch(
     """
     chosen = find_model(model)
     name = run or f"{datetime.now(UTC):%Y%m%d-%H%M%S}-{campaign.designer}"
-    plan = campaign.plan(name, chosen, model, kind=kind)
     refuse_taken_id(settings, name, local)
+    plan = campaign.plan(name, chosen, model, kind=kind)
     usable_cache(settings)
     return Start(settings, campaign, plan, chosen, local=local, show=show, say=say).go()
 
@@ -219,7 +221,12 @@ def warn(text: str) -> None:
 
 
 def refuse_taken_id(settings: Settings, name: str, local: bool) -> None:
-    """InputError where a run of that id lies in our own folder: before anything is started."""
+    """InputError where that is no id, or a run of it lies in our own folder: before anything is started."""
+    try:
+        TypeAdapter(RunId).validate_python(name)
+    except ValidationError:
+        allowed = "1 to 60 small letters, digits and '-', the first no '-'"
+        raise InputError("--id", name, allowed, "e.g. trial-2") from None
     folder = settings.runs_dir / name
     if local and not listening(settings.router):
         usable_runs(settings)

@@ -15,7 +15,7 @@ ModelName = Annotated[str, typer.Option("--model", help="paper, clear_chip, or a
 Config = Annotated[Path | None, typer.Option(help="TOML file with settings; options go over it.")]
 DesignerName = Annotated[
     str | None,
-    typer.Option(help="ddqn-fast (default), ddqn-paper, each with -random for random moves; pattern, random."),
+    typer.Option(help="ddqn-fast (default), ddqn-paper, each with -random for random moves; pattern, random, grid."),
 ]
 BoundsName = Annotated[str | None, typer.Option("--bounds", help="paper-table3 (default) or paper-grid.")]
 Evaluations = Annotated[int | None, typer.Option(help="Different designs to evaluate at most; default 200.")]

@@ -289,18 +289,28 @@ def named_by_option(always: str = "") -> Iterator[None]:
     try:
         yield
     except InputError as error:
-        raise InputError(_option(error.field, always), error.value, *_range_and_mend(error)) from None
+        allowed, mend = map(_by_option, _range_and_mend(error))
+        raise InputError(_option(error.field, always), error.value, allowed, mend) from None
     except RemoteError as error:
         failure, field = error.failure, error.failure.field
         option = _option(field, always)
         if failure.code != "bad_input" or option == field:
             raise
-        update = {"field": option, "message": failure.message.replace(field, option, 1)}
+        update = {
+            "field": option,
+            "message": _by_option(failure.message.replace(field, option, 1)),
+            "mend": _by_option(failure.mend),
+        }
         raise RemoteError(failure.model_copy(update=update)) from None
 
 
 def _option(field: str, always: str) -> str:
     return always or OPTIONS.get(_last(field), field)
+
+
+def _by_option(text: str) -> str:
+    """The text with the option's name for what the request calls its budget."""
+    return text.replace("budget_s = ", "--budget ").replace("budget_s", "--budget")
 
 
 def _last(field: str) -> str:
@@ -315,7 +325,7 @@ def _range_and_mend(error: InputError) -> tuple[str, str]:
     if name.endswith("seed"):
         return "a whole number from 0 to 9999999999999999999", "the same seed gives the same result"
     for owner in (RayRequest, ChipArray, Design):
-        if name in owner.model_fields and (not error.mend or error.mend.endswith("more wrong")):
+        if name in owner.model_fields and (not error.mend or " more wrong: " in error.mend):
             allowed = f"{range_of(owner, name)} {unit_of(name)}".strip()
             return allowed or error.allowed, owner.model_fields[name].description or error.mend
     return error.allowed, error.mend

@@ -67,11 +67,11 @@ def as_input_error(error: ValidationError, where: str = "") -> InputError:
         named = path.rpartition(".")[2] == context.field
         inner = context.field if path == "(whole)" else path if named else f"{path}.{context.field}"
         return InputError(f"{where}: {inner}" if where else inner, context.value, context.allowed, context.mend)
-    mend = "remove it, or look for the right spelling" if first["type"] == "extra_forbidden" else ""
+    mends = ["remove it, or look for the right spelling"] * (first["type"] == "extra_forbidden")
     if others:
-        mend = f"{mend}; {len(others)} more wrong" if mend else f"{len(others)} more wrong"
+        mends.append(f"{len(others)} more wrong: " + ", ".join(".".join(map(str, one["loc"])) for one in others[:3]))
     allowed = first["msg"].removeprefix("Input should be ").removeprefix("Value error, ")
-    return InputError(f"{where}: {path}" if where else path, first["input"], allowed, mend)
+    return InputError(f"{where}: {path}" if where else path, first["input"], allowed, "; ".join(mends))
 
 
 Name = Annotated[str, Field(min_length=1, max_length=100, pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")]

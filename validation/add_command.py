@@ -98,15 +98,17 @@ def ladder(
     as_json: Json = False,
 ) -> None:
     """Watch the error fall: fitted and held-out error of every version of the model, the noise, what moved back."""
-    from luxloop.model_file import SHIPPED
+    from luxloop.model_file import SHIPPED, read_text
     from validation import told_diagnosis as told
     from validation.compare_command import view_of
     from validation.diagnose.ladder import ladder as ladder_of
     from validation.model_versions import version_text, versions
 
     draw = view_of("ladder", page) if page is not None else None
-    path = Path(model)
-    known = [] if model in SHIPPED else versions(path)
+    path, known = Path(model), []
+    if model not in SHIPPED:
+        read_text(path)
+        known = versions(path)
     document = {
         "model": {"file": model},
         **ladder_of(known, {one.number: version_text(path, one.number) for one in known}),

@@ -85,8 +85,8 @@ def subject_of(file: str, dataset: Path | None) -> Subject:
 
     Raises InputError where neither names data, or the data on record have changed since.
     """
-    path = Path(file)
-    if file not in SHIPPED and not path.exists() and dataset is not None:
+    path, given = Path(file), None if dataset is None else read_dataset(dataset)
+    if file not in SHIPPED and not path.exists() and given is not None:
         if not path.absolute().parent.is_dir():
             raise InputError("--model", file, "a file in a folder that exists", f"make {path.parent} first")
         begun = find_model(MODEL_START).model_copy(update={"name": path.stem})
@@ -94,9 +94,8 @@ def subject_of(file: str, dataset: Path | None) -> Subject:
         sys.stderr.write(f"luxloop: {file} did not exist: begun from the model {MODEL_START!r}\n")
     text = "" if file in SHIPPED else read_text(path)
     model = parse_toml(text, path.name) if text else find_model(file)
-    if dataset is not None:
-        found = read_dataset(dataset)
-        return Subject(file, _of_these_samples(model, path.parent, found), found, text)
+    if given is not None:
+        return Subject(file, _of_these_samples(model, path.parent, given), given, text)
     if model.data is None:
         raise InputError(
             "--model", file, "a model that was compared with data", "luxloop compare DATASET comes first"

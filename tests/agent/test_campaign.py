@@ -222,6 +222,14 @@ def test_settings_that_cannot_be_meant_are_refused(text: str, field: str, tmp_pa
     assert field in caught.value.field
 
 
+def test_all_that_is_wrong_is_named(tmp_path: Any) -> None:
+    """The first with its value, the others by their names."""
+    path = tmp_path / "campaign.toml"
+    path.write_text("colour = 1\nlanes = 0\n[stop]\nsize = 2")
+    with pytest.raises(InputError, match=r"2 more wrong: (stop\.size, colour|lanes, colour|stop\.size, lanes)$"):
+        read_campaign(path)
+
+
 def test_options_go_over_the_file(tmp_path: Any) -> None:
     """Those that are given; the rest of the file stands."""
     path = tmp_path / "campaign.toml"

@@ -234,7 +234,7 @@ def test_two_designers_on_one_run_are_refused(running: Set) -> None:
         (("--lanes", "65"), "lanes"),
         (("--bounds", "nowhere"), "paper-table3"),
         (("--model", "nowhere.toml"), "nowhere.toml"),
-        (("--id", "Not An Id"), "run"),
+        (("--id", "Not An Id"), "--id: got 'Not An Id', allowed: 1 to 60 small letters"),
         (("--walk-error", "0"), "walk_error_points"),
         (("--config", "nowhere.toml"), "nowhere.toml"),
     ],

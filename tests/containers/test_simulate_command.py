@@ -293,6 +293,9 @@ def test_limits_are_told_from_both_sides() -> None:
     with pytest.raises(RemoteError) as told, named_by_option():
         raise RemoteError(failure)
     assert (told.value.failure.field, told.value.failure.message) == ("--budget", "--budget: got 1")
+    slow = InputError("target_error_points", 0.001, "0.1 or more within budget_s = 2", "raise budget_s")
+    with pytest.raises(InputError, match=r"0.1 or more within --budget 2; raise --budget$"), named_by_option():
+        raise slow
     other = Failure(code="crashed", message="histories: a bug", field="histories")
     with pytest.raises(RemoteError) as left, named_by_option():
         raise RemoteError(other)

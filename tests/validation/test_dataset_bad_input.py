@@ -321,6 +321,7 @@ TABLES = {
     "sigma below": ("spectra/t.csv", ROW, "440,0,u,0.71,-0.1", "line 2: sigma", "standard deviation"),
     "NaN": ("spectra/t.csv", ROW, "440,0,u,nan,0.005", "line 2: value", "remove the row"),
     "decimal comma": ("spectra/t.csv", ROW, "440,0,u,0,71,0,005", "line 2", "decimal comma"),
+    "open quote": ("spectra/t.csv", ROW, '440,0,u,"0.71,0.005', "line 3", "not closed"),
     "quoted comma": ("spectra/t.csv", ROW, '440,0,u,"0,71",0.005', "line 2: value", "decimal comma"),
     "semicolons": ("spectra/t.csv", "wavelength_nm,aoi_deg", "wavelength_nm;aoi_deg", "line 1", "commas"),
     "BOM": ("spectra/t.csv", "wavelength_nm", "\ufeffwavelength_nm", "line 1", "no BOM"),

@@ -238,6 +238,13 @@ def test_a_bad_table_is_refused(raw: Path, tmp_path: Path, line: str, field: str
     assert field in refusal("import", raw, "--into", tmp_path / "d", "--table", tmp_path / "t.csv").field
 
 
+def test_an_open_quotation_mark_is_named(raw: Path, tmp_path: Path) -> None:
+    """It takes the lines below into one cell: not a decimal comma."""
+    (tmp_path / "t.csv").write_text('file,sample,width_um\na.tif,"a,4\nb.tif,b,4\n')
+    refused = refusal("import", raw, "--into", tmp_path / "d", "--table", tmp_path / "t.csv")
+    assert "not closed" in refused.mend
+
+
 def test_import_never_writes_over_anything(raw: Path, tmp_path: Path) -> None:
     """A folder with something in it, a table that is there, a sample of two designs."""
     (tmp_path / "full").mkdir()

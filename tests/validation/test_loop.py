@@ -70,3 +70,4 @@ def test_where_needs_data_and_compare_a_data_set(settings: Settings, tmp_path: P
         assert words in done.stderr
         assert "Traceback" not in done.stderr
     assert not (tmp_path / "no").exists()
+    assert not (tmp_path / "model.toml").exists(), "no model is begun for data that are not there"

@@ -47,7 +47,8 @@ def read_sheet(path: Path) -> list[Row]:
             continue
         where = f"{path.name}: line {lines.line_num}"
         if len(cells) != len(header):
-            mend = "a decimal comma? Write a point"
+            open_quote = any("\n" in cell for cell in cells)
+            mend = "a quotation mark that is not closed" if open_quote else "a decimal comma? Write a point"
             raise InputError(where, f"{len(cells)} cells", f"{len(header)}, as in line 1", mend)
         filled = {name: cell.strip() for name, cell in zip(header, cells, strict=True) if cell.strip()}
         if "file" not in filled:

@@ -152,6 +152,8 @@ def _rows(path: Path, name: str, columns: tuple[str, ...]) -> tuple[list[tuple[i
 def _wrong_count(where: str, cells: Sequence[str], columns: Sequence[str]) -> InputError:
     comma = len(cells) > len(columns) or any(";" in cell for cell in cells)
     mend = "a decimal comma? write decimals with a point" if comma else "commas between the values"
+    if any("\n" in cell for cell in cells):
+        mend = "a quotation mark that is not closed"
     return InputError(where, ",".join(cells), f"{len(columns)} values: {','.join(columns)}", mend)
 
 

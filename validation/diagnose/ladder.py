@@ -88,7 +88,9 @@ def ladder(known: Sequence[Version], texts: Mapping[int, str]) -> dict[str, Any]
         rows.append({"version": version.number, "command": version.command, "effects": effects, **numbers})
     if not rows:
         mend = "luxloop add and luxloop calibrate keep what they find"
-        raise InputError("--model", "no errors", "a model file with a version that was fitted", mend)
+        raise InputError(
+            "--model", f"{len(known)} versions, none fitted", "a model file with a version that was fitted", mend
+        )
     return {"rungs": rows, "parameters": _moved(models)}
 
 

@@ -136,6 +136,7 @@ def test_a_hidden_effect_is_named_added_and_taken_out_again(settings: Settings, 
         (("next",), "luxloop diagnose comes first"),
         (("remove", "vignetting", "--model", "paper"), "it has none"),
         (("ladder", "--model", "paper"), "a version that was fitted"),
+        (("ladder", "--model", "nowhere.toml"), "got 'nowhere.toml', allowed: a model file"),
         (("ladder", "--model", "paper", "--page", "ladder.txt"), ".html"),
     ],
 )
