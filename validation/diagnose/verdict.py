@@ -156,9 +156,8 @@ def decided(
     rivals = [one for one in alike if _sigma_apart(best, one) < TOLD_APART]
     if rivals:
         told = [best.name, *(one.name for one in rivals)]
-        return Verdict(
-            "cannot_tell_apart", f"The data cannot tell apart {', '.join(told)}. {next_image(told)}", names
-        )
+        sentence = f"The data cannot tell apart {', '.join(told)}{_by_fits(best, rivals)}. {next_image(told)}"
+        return Verdict("cannot_tell_apart", sentence, names)
     held = "a held-out test is not possible with these data"
     if best.held_out_percent is not None:
         before, after = best.held_out_percent
@@ -197,8 +196,21 @@ def _sigma_apart(best: Explanation, other: Explanation) -> float:
 
     Columns are those of the fit without either, which may be at a limit; fits have left it, each in its own way.
     """
-    by_columns = best.sigma_rival.get(other.name, best.sigma)
-    return min(by_columns, math.sqrt(max(best.drop - other.drop, 0.0)))
+    return min(_sigma_by_columns(best, other), _sigma_by_fits(best, other))
+
+
+def _sigma_by_columns(best: Explanation, other: Explanation) -> float:
+    return best.sigma_rival.get(other.name, best.sigma)
+
+
+def _sigma_by_fits(best: Explanation, other: Explanation) -> float:
+    return math.sqrt(max(best.drop - other.drop, 0.0))
+
+
+def _by_fits(best: Explanation, rivals: Sequence[Explanation]) -> str:
+    """How near the fits are, where columns alone would tell a rival: what `next` says of now is by columns."""
+    near = [_sigma_by_fits(best, one) for one in rivals if _sigma_by_columns(best, one) >= TOLD_APART]
+    return f" (fits {min(near):.1f} sigma apart)" if near else ""
 
 
 def _next_best(other: Explanation) -> str:

@@ -57,3 +57,14 @@ def test_rivals_are_told_apart_no_better_than_their_fits_are(other: float, word:
     share = Share(0.98, 0.03)
     tried = [explanation("lobe", 639.0, share, {"far": 7.0}), explanation("far", other, share, {"lobe": 7.0})]
     assert decided(tried, 32, lambda: "", lambda _: "").word == word
+
+
+def test_how_near_the_fits_are_is_said_where_columns_would_tell_them() -> None:
+    """Else the sentence would say "now 7 sigma" of two that it cannot tell apart."""
+    share = Share(0.98, 0.03)
+    for by_columns, words in ((7.0, "lobe, far (fits 4.4 sigma apart). Take"), (3.0, "lobe, far. Take")):
+        tried = [
+            explanation("lobe", 639.0, share, {"far": by_columns}),
+            explanation("far", 620.0, share, {"lobe": by_columns}),
+        ]
+        assert words in decided(tried, 32, lambda: "", lambda _: "Take one image.").sentence
