@@ -85,6 +85,7 @@ class Diagnosing:
             predict_curves=CurvesOf(self.predictor),
             others=self.observed.films,
             start=self.observed.films_at,
+            most_histories=self.solver.most_histories,
         )
         moving = {member.effect for member, _ in free_members(model).values()}
         specs = [one for one in self.known.specs if one.name in moving]

@@ -27,6 +27,8 @@ def words_of(record: Mapping[str, Any]) -> str:
     """Model, solver with its seed, and the effects to choose from, of a verdict."""
     solver, among = record["solver"], sorted(record["among"])
     how = "the twin" if solver["method"] == "twin" else f"Monte Carlo of {solver['histories']:,} histories"
+    most = solver.get("most_histories")
+    how += f" (the last anchor up to {most:,})" if most else ""
     effects = f"{len(among)} chosen effects ({', '.join(among)})" if among else f"all {record['known']} effects"
     return f"{_model(str(record['model_sha256']))}, {how}, seed {solver['seed']}, {effects}"
 

@@ -144,7 +144,7 @@ class Judge:
         sealed = seal_on(self.folder, one.id)  # of what is judged: a seal that comes later is no seal
         start = time.monotonic()
         dataset = read_dataset(self.folder / SETS / one.id)
-        solver = SharedSolver(self.solver.histories, self.solver.seed, shared=shared)
+        solver = SharedSolver(self.solver.histories, self.solver.seed, self.solver.most_histories, shared=shared)
         first = shared.ground is None
         engine = SharedDiagnosing(
             self.model, Observed.of(dataset), self.predictor, self.known, solver, tuple(free_paths(self.model)),
