@@ -115,14 +115,44 @@ def test_a_plane_is_found_in_opposite_sectors():
 
 
 def test_a_wave_is_found_at_its_frequency():
-    """A weak wave over the whole image shows in the band of its frequency, 6 periods in 600 um: 10 per mm."""
+    """A weak wave over the whole image shows in the band of its frequency, 7.1 periods in 600 um: 12 per mm."""
     images = _images()
-    wave = 1.2 * np.cos(2.0 * np.pi * 6.0 * np.arange(24) / 24.0)[None, :]
+    y, x = np.indices((24, 24))
+    wave = 1.2 * np.cos(2.0 * np.pi * 5.0 * (x + y) / 24.0)
     found = _found(_with(images, 2, wave * _sd(images[2])))
     assert found.p < 0.01
     assert found.families[0].name == "spatial frequency 9.17-14.2 per mm"
     waves = [region for region in found.where if region.family == "spatial frequency"]
     assert waves[0].shot == "array-a"
+
+
+def test_bands_of_rows_are_found_in_their_image():
+    """Pairs of rows, higher or lower by half a pixel's noise: the rows of that image are named."""
+    images = _images()
+    bands = np.repeat(0.5 * np.random.default_rng(5).choice([-1.0, 1.0], 12), 2)[:, None]
+    found = _found(_with(images, 2, bands * _sd(images[2])))
+    assert found.families[0].name == "rows of the camera"
+    assert found.p < 0.01
+    assert found.shots["array-a"].p < 0.01
+    assert found.shots["single-b"].p > 0.01
+    rows = [region for region in found.where if region.family == "rows of the camera"]
+    assert rows[0].shot == "array-a"
+    first, last = (int(number) for number in rows[0].words.removeprefix("rows ").split("-"))
+    assert last == first + 1
+    assert np.sign(rows[0].z) == bands[first, 0] / 0.5
+
+
+def test_a_faint_column_of_the_camera_is_found_where_images_are_summed():
+    """The same two columns a little brighter in every image: no image alone shows it as all together do."""
+    images = _images()
+    stripe = np.zeros((24, 24))
+    stripe[:, 6:8] = 0.6
+    for number in range(3):
+        images = _with(images, number, stripe * _sd(images[number]))
+    found = _found(images)
+    assert found.where[0].family == "columns of the camera, all images"
+    assert found.where[0].place == "columns 6-7, all images together"
+    assert found.where[0].z > 4.0
 
 
 def test_a_pattern_in_all_images_is_found_where_they_are_summed():

@@ -2,7 +2,8 @@
 
     cells     blocks of 2 x 2 used pixels of an image, pairs of rows of a curve: each used pixel in one cell
     sums      of cells: blocks of 4, 8, 16, rings about the nearest chip, azimuth sectors, rings about the module's
-              centre; and each of these summed over all images in which it is the same place
+              centre, rows and columns of the camera (by twos); and each of these summed over all images in which it
+              is the same place
     power     of the map of cells of an image, in rings of spatial frequency
 
 Everything is made of cells, so a residual, measured or drawn, is needed by its cells only. A single pixel has no
@@ -28,6 +29,7 @@ Array = NDArray[np.floating]
 CELL = 2  # pixels: the side of the smallest block that votes
 BLOCKS = (2, 4, 8, 16)
 CELLS, CHIP_RINGS, AZIMUTH, FIELD = "blocks of 2", "distance from the chip", "azimuth", "field radius"
+ROWS, COLUMNS = "rows of the camera", "columns of the camera"
 RING_UM = 50.0
 RINGS = np.array([0, 1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 1e9])  # edges, in ring widths
 SECTORS = 16
@@ -181,14 +183,18 @@ def _of_picture(one: Picture, cells: Group) -> Iterable[_Labelled]:
         step_um = float(np.hypot(*one.used.shape)) * one.pixel_um / 2.0 / FIELD_RINGS
         field = np.minimum(np.hypot(x_um, y_um) / step_um, FIELD_RINGS - 1)
         yield _Labelled(FIELD, one.id, things, field.astype(np.intp), _field_words(step_um))
+    row, column = np.divmod(cells.labels, _across(one))
+    yield _Labelled(ROWS, one.id, things, row, _line_words("rows", one.used.shape[0]))
+    yield _Labelled(COLUMNS, one.id, things, column, _line_words("columns", one.used.shape[1]))
 
 
 def _over_images(
     pictures: Sequence[Picture], sums: Sequence[_Labelled], cells: Sequence[Group]
 ) -> Iterable[_Labelled]:
-    """Everything summed over the images in which it is the same place: blocks of the camera, rings of the module."""
+    """Everything summed over the images in which it is the same place: blocks and lines of the camera, rings of the
+    module."""
     groups = [_Labelled(CELLS, one.shot, _things(one), one.labels, one.words) for one in cells]
-    for family in (CELLS, *(f"blocks of {size}" for size in BLOCKS[1:]), CHIP_RINGS, AZIMUTH, FIELD):
+    for family in (CELLS, *(f"blocks of {size}" for size in BLOCKS[1:]), CHIP_RINGS, AZIMUTH, FIELD, ROWS, COLUMNS):
         of_family = {one.shot: one for one in (*groups, *sums) if one.family == family}
         alike: dict[object, list[_Labelled]] = {}
         for one in pictures:
@@ -266,6 +272,10 @@ def _block_words(one: Picture, size: int) -> Callable[[int], str]:
         return f"rows {row}-{min(row + size, height) - 1}, columns {column}-{min(column + size, width) - 1}"
 
     return words
+
+
+def _line_words(what: str, count: int) -> Callable[[int], str]:
+    return lambda label: f"{what} {label * CELL}-{min((label + 1) * CELL, count) - 1}"
 
 
 def _curve_words(axis: Real, unit: str, size: int) -> Callable[[int], str]:
