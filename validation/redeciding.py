@@ -20,7 +20,15 @@ from luxloop.model_file import diff, parse_toml
 from validation.diagnose.explained import Share
 from validation.diagnose.held_out import Change
 from validation.diagnose.ladder import BEFORE, Rung
-from validation.diagnose.verdict import Explanation, Verdict, decided, doubted, is_visible
+from validation.diagnose.verdict import (
+    Explanation,
+    Verdict,
+    decided,
+    doubted,
+    is_visible,
+    leaves_too_much,
+    none_of_the_known,
+)
 from validation.model_versions import versions
 from validation.sample_values import members
 
@@ -49,6 +57,10 @@ def verdict_of(document: Document, tried: Sequence[Explanation]) -> Verdict | No
     if not tried or not is_visible(document["structure"]["p"], document["scores_p"]):
         return None
     found = decided(tried, document["known"], lambda: "", lambda _: "")
+    kept = [row for row in document["added"] if "share_error" in row]  # told since decision 44
+    shares = [Share(row["share"], _infinite(row["share_error"])) for row in kept]
+    if kept and leaves_too_much(kept[-1]["p_left"], shares):
+        return none_of_the_known(document["known"], shares[0].value, "")
     named = [one for one in tried if one.name in found.set[:1]]
     return doubted(named[0]) if named and named[0].distrust and len(document["added"]) == 1 else found
 

@@ -16,17 +16,20 @@ import numpy as np
 
 from luxloop.effect import EffectSpec
 from validation.diagnose.ground import Ground
-from validation.diagnose.in_words import left_in_words, limits_in_words
+from validation.diagnose.in_words import left_in_words, limits_in_words, more_in_words
 from validation.diagnose.refit import Refitted
 from validation.diagnose.score import Candidate, Projected, Scores, scores
 from validation.diagnose.tried import Progress, Tried, short_list
 from validation.diagnose.verdict import (
+    HALF,
     LEVEL,
     Explanation,
     Verdict,
     decided,
     doubted,
     is_visible,
+    leaves_too_much,
+    none_of_the_known,
     not_trustworthy,
     nothing_visible,
 )
@@ -89,6 +92,9 @@ class Diagnosis:
     def verdict(self) -> Verdict:
         """Of the first round; a second effect that was found besides is told after it."""
         first = self.steps[0].verdict
+        if self.added and leaves_too_much(self.added[-1].p_left, [one.share for one in self.added]):
+            ground = self.steps[0].ground
+            return none_of_the_known(self.known, self.added[0].share.value, left_in_words(ground))
         if len(self.added) == 1 and self.added[0].distrust:
             return doubted(self.added[0])
         if len(self.added) < 2:
@@ -119,11 +125,19 @@ def diagnosed(
 
 
 def trusted(steps: Sequence[Step]) -> list[Step]:
-    """The rounds without the last ones that name nothing, or nothing to be trusted: the ones before stand."""
+    """The rounds without the last ones that name nothing, or nothing to be trusted: the ones before stand.
+
+    So does what leaves structure and explains less than half of what was there: as a second effect it is a guess.
+    """
     found = list(steps)
-    while len(found) > 1 and (found[-1].kept is None or found[-1].best.distrust):
+    while len(found) > 1 and (found[-1].kept is None or found[-1].best.distrust or is_a_guess(found[-1].best)):
         found.pop()
     return found
+
+
+def is_a_guess(best: Explanation, level: float = LEVEL) -> bool:
+    """Whether an effect explains less than half, and leaves structure."""
+    return best.share.value < HALF and best.p_left < level / 2.0
 
 
 def _step(ground: Ground, effects: Sequence[EffectSpec], means: Means, seed: int, level: float) -> Step:
@@ -143,7 +157,8 @@ def _step(ground: Ground, effects: Sequence[EffectSpec], means: Means, seed: int
     best = {one.name: projected.own(one.best.candidate) for one in scored.effects}
     alike = confounding(best)
     if not visible:
-        verdict = not_trustworthy(fit.distrust) if fit.distrust else nothing_visible(limits_in_words(scored, level))
+        nothing = nothing_visible(limits_in_words(scored, level), more_in_words(fit))
+        verdict = not_trustworthy(fit.distrust) if fit.distrust else nothing
         return Step(ground, scored, alike, (), (), verdict)
     tried = Tried(ground, projected, best, short_list(scored, alike))
     tried.refit(means.progress)

@@ -23,6 +23,7 @@ REGIONS = 8
 def document(found: Diagnosis, proposals: Sequence[Proposal], seed: int) -> dict[str, Any]:
     """Of the whole diagnosis; of its first round in detail, of the others what they added."""
     first = found.steps[0]
+    proposals = [] if found.verdict.word == "none_of_the_known" else proposals
     return {
         "verdict": found.verdict.word,
         "sentence": found.verdict.sentence,
@@ -39,7 +40,7 @@ def document(found: Diagnosis, proposals: Sequence[Proposal], seed: int) -> dict
         ],
         "scores_p": first.scores.p,
         "untestable": list(first.scores.untestable),
-        "set": list(first.verdict.set),
+        "set": [] if found.verdict.word == "none_of_the_known" else list(first.verdict.set),
         "groups": [list(group) for group in first.confounding.groups if len(group) > 1],
         "confounding": {
             "names": [first.confounding.names[k] for k in first.confounding.order],
@@ -49,7 +50,8 @@ def document(found: Diagnosis, proposals: Sequence[Proposal], seed: int) -> dict
             ],
         },
         "added": [
-            {"name": one.name, "size": one.size, "p_left": one.p_left, "share": one.share.value}
+            {"name": one.name, "size": one.size, "p_left": one.p_left, "share": one.share.value,
+                "share_error": finite(one.share.error),}
             for one in found.added
         ],
         "next_measurement": _next(proposals),

@@ -11,6 +11,8 @@ from validation.diagnose.ground import Ground
 from validation.diagnose.refit import limits_of
 from validation.diagnose.score import Scores
 from validation.diagnose.verdict import LEVEL
+from validation.fit import Fit
+from validation.fit.result import WANTED_NOISE, histories_for
 
 POWER = 0.9
 FEW = 3
@@ -41,6 +43,18 @@ def limits(scored: Scores, level: float = LEVEL) -> list[tuple[str, str, float, 
                 (value / (upper - lower), one.name, candidate.parameter.name, value, candidate.parameter.unit)
             )
     return [entry[1:] for entry in sorted(found)]
+
+
+def more_in_words(fit: Fit) -> str:
+    """How more would be seen, where the Monte Carlo's own noise hides it; else nothing (decision 43)."""
+    anchor = fit.problem.anchor
+    if anchor is None or not anchor.histories or fit.noise_share <= WANTED_NOISE:
+        return ""
+    needed = histories_for(WANTED_NOISE, anchor.histories, fit.noise_share)
+    return (
+        f" The Monte Carlo's own noise is {fit.noise_share:.2f} of the camera's by pixel, and more of it along what"
+        f" is smooth: --most-histories {needed} would show smaller ones."
+    )
 
 
 def left_in_words(ground: Ground, most: int = FEW) -> str:

@@ -3,7 +3,8 @@
     fit_not_trustworthy   the fit itself says so
     nothing_visible       neither structure nor any effect's score is unlikely, each at half the level
     none_of_the_known     the best effect explains less than half of the structure by an error (by two, where the
-                          share is known to no better than 0.15), and structure is left
+                          share is known to no better than 0.15), and structure is left; or all that was kept, round
+                          by round, explains less than 0.8, and structure is left
     cannot_tell_apart     a rival explains nearly as much, and less than 5 sigma would be left of the one beside it,
                           or the two fits are nearer to each other than that
     one_effect            else
@@ -31,6 +32,8 @@ Word = Literal["nothing_visible", "one_effect", "cannot_tell_apart", "none_of_th
 
 LEVEL = 0.01
 HALF = 0.5
+ENOUGH = 0.8
+"""Of the structure: what effects that are said to explain the misfit explain together, where some of it is left."""
 ALIKE = 0.10
 """Effects that explain within this of the best are in the set."""
 NOISE_SIGMA, NOISE_DROP = 2.0, 9.0
@@ -112,11 +115,12 @@ def not_trustworthy(reasons: Sequence[str]) -> Verdict:
     )
 
 
-def nothing_visible(limits: Sequence[str]) -> Verdict:
-    """Noise explains everything; `limits`: above which size each effect would have been seen."""
+def nothing_visible(limits: Sequence[str], more: str = "") -> Verdict:
+    """Noise explains everything; `limits`: above which sizes one would have been seen; `more`: how."""
     seen = f": {', '.join(limits)}" if limits else ": none can be tested with these data"
     return Verdict(
-        "nothing_visible", f"No missing effect visible. An effect of this kind would have been seen above{seen}."
+        "nothing_visible",
+        f"No missing effect visible. An effect of this kind would have been seen above{seen}.{more}",
     )
 
 
@@ -142,12 +146,7 @@ def decided(
     """
     usable = sorted((one for one in explanations if one.plausible), key=lambda one: -one.drop)
     if not usable or _explains_too_little(usable[0], level):
-        most = 100.0 * max((one.share.value for one in explanations), default=0.0)
-        sentence = (
-            f"None of the {known} known effects explains this (best: {max(most, 0.0):.0f} %). What is left: {left()}"
-            " Write an effect: luxloop effects new."
-        )
-        return Verdict("none_of_the_known", sentence)
+        return none_of_the_known(known, max((one.share.value for one in explanations), default=0.0), left())
     best, others = usable[0], usable[1:]
     if best.distrust and best.p_left >= level / 2.0:  # else another effect may be what drives it there
         return doubted(best)
@@ -169,6 +168,25 @@ def decided(
         f" It explains {100.0 * best.share.value:.0f} % of the structure and {held}.{following}"
     )
     return Verdict("one_effect", sentence, names)
+
+
+def none_of_the_known(known: int, share: float, left: str) -> Verdict:
+    """What is there is none of so many effects; `share`: that the best of them explains; `left`: in words."""
+    percent = 100.0 * max(share, 0.0)
+    sentence = (
+        f"None of the {known} known effects explains this (best: {percent:.0f} %). What is left: {left}"
+        " Write an effect: luxloop effects new."
+    )
+    return Verdict("none_of_the_known", sentence)
+
+
+def leaves_too_much(p_left: float, shares: Sequence[Share], level: float = LEVEL) -> bool:
+    """Whether structure is left with all effects that were kept, and they explain too little for it to be noise.
+
+    `shares`: of the structure that each round found. Never where one of them is known too badly to decide.
+    """
+    left = math.prod(1.0 - min(max(one.value + one.error, 0.0), 1.0) for one in shares)
+    return p_left < level / 2.0 and all(one.decides for one in shares) and 1.0 - left < ENOUGH
 
 
 def doubted(best: Explanation) -> Verdict:

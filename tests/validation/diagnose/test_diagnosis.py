@@ -12,23 +12,25 @@ from scipy.stats import multivariate_normal
 
 from luxloop.effect import AppliedEffect, EffectParameter
 from luxloop.model import Fit as Limits
-from tests.validation.analytic import HALO, MODEL, PATHS
+from tests.validation.analytic import HALO, MODEL, PATHS, Spots
 from tests.validation.diagnose.made_up import CATALOGUE, Affected, data, diagnosis, ground_of, spec
 from validation.contrasts.structure import fit_projection
 from validation.diagnose.columns import FitSight, candidates_of
-from validation.diagnose.diagnosis import beyond_limits, trusted
+from validation.diagnose.diagnosis import Diagnosis, Step, beyond_limits, trusted
 from validation.diagnose.document import document, effect_document
 from validation.diagnose.ending import finished
 from validation.diagnose.evidence import group_log_evidence
 from validation.diagnose.explained import Share
 from validation.diagnose.frozen import slopes_of
 from validation.diagnose.held_out import same_rows
-from validation.diagnose.in_words import FEW, limits, limits_in_words
+from validation.diagnose.in_words import FEW, limits, limits_in_words, more_in_words
 from validation.diagnose.ladder import Rung
 from validation.diagnose.refit import refit
 from validation.diagnose.score import Projected, scores
 from validation.diagnose.verdict import LEVEL
 from validation.fit import NOT_CONVERGED, fit
+from validation.prediction import Anchored
+from validation.redeciding import explanation_of, verdict_of
 
 
 def test_nothing_hidden_is_nothing_visible() -> None:
@@ -42,6 +44,17 @@ def test_nothing_hidden_is_nothing_visible() -> None:
     ripple = found.steps[0].scores.of("ripple")
     assert ripple is not None
     assert 4.0 < by_name["ripple"] / ripple.best.error < 6.0
+
+
+def test_what_noise_of_monte_carlo_hides_is_said_with_the_histories_that_show_it() -> None:
+    """Twice the noise that is wanted asks for four times as many; where it is small, or there is none, nothing."""
+    found = fit(MODEL, data(None, 1), Spots(), anchor_at=lambda model: Anchored(model, 1_000_000))
+    assert more_in_words(found) == ""
+    noisy = replace(found, noise_share=0.6)
+    assert "0.60 of the camera's" in more_in_words(noisy)
+    assert "--most-histories 4000000 " in more_in_words(noisy)
+    alone = fit(MODEL, data(None, 1), Spots())
+    assert more_in_words(replace(alone, noise_share=0.6)) == ""
 
 
 def test_what_is_above_its_limit_is_seen() -> None:
@@ -115,6 +128,30 @@ def test_a_doubtful_second_effect_takes_nothing_from_the_first() -> None:
     )
     assert trusted([step, at_limit]) == [step]
     assert trusted([at_limit]) == [at_limit]
+
+
+def test_what_explains_a_part_and_leaves_the_rest_is_none_of_the_known() -> None:
+    """A stranger of which an effect takes 57 %, and a second, a guess, next to nothing: neither is named."""
+    (step, *_) = diagnosis(data("stripes", 2, 0.05, 300.0)).steps
+    assert step.verdict.word in ("one_effect", "cannot_tell_apart")
+
+    def leaving(p_left: float, share: float, error: float = 0.05) -> Step:
+        tried = (replace(one, p_left=p_left, share=Share(share, error)) for one in step.explanations)
+        return replace(step, explanations=tuple(tried))
+
+    part, guess, rest = leaving(1e-4, 0.57), leaving(1e-4, 0.01, 0.4), leaving(0.3, 0.9)
+    assert trusted([part, guess]) == [part]
+    assert trusted([part, rest]) == [part, rest]
+    verdict = Diagnosis((part,), 6).verdict
+    assert verdict.word == "none_of_the_known"
+    assert verdict.sentence.startswith("None of the 6 known effects explains this (best: 57 %). What is left: ")
+    told = document(Diagnosis((part,), 6), [], 1)
+    assert (told["verdict"], told["set"], told["added"][0]["share_error"]) == ("none_of_the_known", [], 0.05)
+    again = verdict_of(told, [explanation_of(row) for row in told["effects"]])
+    assert again is not None
+    assert (again.word, again.set) == ("none_of_the_known", ())
+    for stands in ((part, rest), (leaving(1e-4, 0.9),), (leaving(1e-4, 0.57, 0.2),), (leaving(0.3, 0.57),)):
+        assert Diagnosis(stands, 6).verdict.word == step.verdict.word
 
 
 def test_an_effect_of_the_model_is_not_tried_again() -> None:
