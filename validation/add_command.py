@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from luxloop.errors import InputError
-from validation.calibrate_command import ModelFile, Twin
+from validation.calibrate_command import LastHistories, ModelFile, Twin
 from validation.compare_command import (
     HISTORIES,
     Film,
@@ -41,6 +41,7 @@ def add(
     force: Force = False,
     twin: Twin = False,
     histories: Histories = HISTORIES,
+    most_histories: LastHistories = None,
     seed: Seed = 1,
     pixel_um: Pixel = None,
     film: Film = None,
@@ -54,6 +55,7 @@ def add(
     with diagnosing(
         "add", model, free=free, histories=None if twin else histories, seed=seed, pixel_um=pixel_um, film=film,
         runs=runs, router=router, no_local=no_local, say=not (as_json or quiet),
+        most_histories=most_histories,
     ) as (engine, subject, at):  # fmt: skip
         if effect in [one.name for one in engine.model.effects]:
             raise InputError(
@@ -70,6 +72,7 @@ def remove(
     force: Force = False,
     twin: Twin = False,
     histories: Histories = HISTORIES,
+    most_histories: LastHistories = None,
     seed: Seed = 1,
     pixel_um: Pixel = None,
     film: Film = None,
@@ -88,6 +91,7 @@ def remove(
     with diagnosing(
         "remove", model, free=free, histories=None if twin else histories, seed=seed, pixel_um=pixel_um, film=film,
         runs=runs, router=router, no_local=no_local, say=not (as_json or quiet),
+        most_histories=most_histories,
     ) as (engine, subject, at):  # fmt: skip
         _done(engine, subject, at, "remove", effect, (pixel_um, film), dry_run, force, as_json)
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from luxloop.settings import load_settings
-from validation.calibrate_command import MostHistories
+from validation.calibrate_command import LastHistories
 from validation.compare_command import HISTORIES, Histories, Json, NoLocal, Page, Quiet, Router
 
 if TYPE_CHECKING:
@@ -88,7 +88,7 @@ def diagnose(
     model: Annotated[str | None, typer.Option(help="Only that of the sets, which is the default.")] = None,
     twin: Annotated[bool, typer.Option("--twin", help="By the twin alone, whose own error shows, too.")] = False,
     histories: Histories = HISTORIES,
-    most_histories: MostHistories = 0,
+    most_histories: LastHistories = None,
     seed: Annotated[int, typer.Option(min=0, max=10**15, help="Of the Monte Carlo and the simulated noise.")] = 1,
     among: Annotated[
         str | None, typer.Option(help="Effects to choose from, with commas; default: all. On record: it is easier.")
@@ -106,7 +106,10 @@ def diagnose(
     from validation.comparing import NULLS, Solver
 
     settings, index = load_settings(router=router), read_index(folder)
-    chosen, solver = chosen_model(folder, index, model), Solver(None if twin else histories, seed, most_histories)
+    chosen, solver = (
+        chosen_model(folder, index, model),
+        Solver.of_diagnosis(None if twin else histories, seed, most_histories),
+    )
     verdicts: Counter[str] = Counter()
     with (
         alone(folder, "diagnose"),

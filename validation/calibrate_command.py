@@ -42,6 +42,13 @@ MostHistories = Annotated[
     int, typer.Option(min=0, max=10**9, help="The last anchor takes as many as its noise asks for, at most these.")
 ]
 
+LastHistories = Annotated[
+    int | None,
+    typer.Option(
+        min=0, max=10**9, help="The last anchor takes as many as its noise asks for, at most these; default: 8 times."
+    ),
+]
+
 
 def calibrate(
     model: ModelFile = "model.toml",

@@ -40,6 +40,10 @@ NULLS = "nulls"
 """Folder in the cache: the distribution of noise after a fit depends on its layout, not on its data."""
 
 
+MANY = 8
+"""Times as many histories as an anchor begins with: what a diagnosis lets the last one have (decision 43)."""
+
+
 @dataclass(frozen=True)
 class Solver:
     """How images are predicted: the twin alone, or the twin as a difference to Monte Carlo of so many histories."""
@@ -48,6 +52,12 @@ class Solver:
     seed: int = 1
     most_histories: int = 0
     """Up to which the last anchor is made anew with as many as its noise asks for."""
+
+    @classmethod
+    def of_diagnosis(cls, histories: int | None, seed: int, most_histories: int | None) -> Solver:
+        """That of commands that name effects; None: the twin alone, and `MANY` times as many at last."""
+        most = MANY * (histories or 0) if most_histories is None else most_histories
+        return cls(histories, seed, most)
 
     @property
     def anchor_at(self) -> Callable[[Model], Anchored | None] | None:

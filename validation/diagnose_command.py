@@ -14,7 +14,7 @@ import typer
 
 from luxloop.errors import InputError
 from luxloop.settings import load_settings
-from validation.calibrate_command import ModelFile, MostHistories, Twin, bar, paths_of
+from validation.calibrate_command import LastHistories, ModelFile, Twin, bar, paths_of
 from validation.compare_command import (
     HISTORIES,
     Film,
@@ -57,7 +57,7 @@ def diagnosing(
     no_local: bool,
     say: bool,
     among: Sequence[str] = (),
-    most_histories: int = 0,
+    most_histories: int | None = None,
 ) -> Iterator[tuple[Diagnosing, Subject, Session]]:
     """The model on its data, with workers, on record as a run. Raises InputError for a model without data."""
     from validation.comparing import NULLS, Solver
@@ -72,7 +72,7 @@ def diagnosing(
     paths = tuple(path for path in paths_of(subject.model, free) if not path.startswith("effects."))
     if free is None and not observed.of_modules:  # films alone know nothing of the module's parameters
         paths = ()
-    solver = Solver(histories, seed, most_histories)
+    solver = Solver.of_diagnosis(histories, seed, most_histories)
     with (
         session(settings, subject, command, seed=seed, local=not no_local, say=say) as at,
         bar(say, command) as progress,
@@ -125,7 +125,7 @@ def diagnose(
     free: Free = None,
     twin: Twin = False,
     histories: Histories = HISTORIES,
-    most_histories: MostHistories = 0,
+    most_histories: LastHistories = None,
     seed: Seed = 1,
     pixel_um: Pixel = None,
     film: Film = None,
@@ -171,6 +171,7 @@ def next_(
     free: Free = None,
     twin: Twin = False,
     histories: Histories = HISTORIES,
+    most_histories: LastHistories = None,
     seed: Seed = 1,
     pixel_um: Pixel = None,
     film: Film = None,
@@ -190,6 +191,7 @@ def next_(
     with diagnosing(
         "next", model, free=free, histories=None if twin else histories, seed=seed, pixel_um=pixel_um, film=film,
         runs=runs, router=router, no_local=no_local, say=not (as_json or quiet),
+        most_histories=most_histories,
     ) as (engine, subject, at):  # fmt: skip
         specs = [engine.spec(name) for name in rivals]
         if not engine.observed.images:

@@ -177,3 +177,11 @@ def test_a_changed_pixel_of_a_residual_is_found_by_the_replay() -> None:
     altered[3, 3] += 20.0
     assert verdicts(maps | {first: altered})[f"chi2 per pixel, {first}"] == "differs"
     assert verdicts({})[f"chi2 per pixel, {first}"] == "not comparable"
+
+
+def test_a_diagnosis_lets_the_last_anchor_have_eight_times_as_many_histories():
+    """Unless it is told; the twin alone has none. It stands in the record."""
+    assert Solver.of_diagnosis(4_000_000, 2, None) == Solver(4_000_000, 2, 32_000_000)
+    assert Solver.of_diagnosis(4_000_000, 2, 0) == Solver(4_000_000, 2)
+    assert Solver.of_diagnosis(None, 2, None) == Solver(None, 2)
+    assert Solver.of_diagnosis(1_000, 2, 5_000).document()["most_histories"] == 5_000

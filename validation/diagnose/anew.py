@@ -24,6 +24,9 @@ STRAYED = 5.0
 """Errors by which a parameter may be from where the anchor has it, before Monte Carlo is asked for anew. Reweighted
 by some 12 errors of absorption, exits added 80 to a chi2 of 7,028 (decision 41); by its square that is 14 at 5."""
 
+ON_THE_WAY = 4_000_000
+"""Histories a sample of anchors that only find where the last one shall be."""
+
 STEPS = 12
 """Of a fit with frozen derivatives: what explains little never converges."""
 
@@ -79,20 +82,27 @@ def by_twin(problem: Problem, start: Mapping[str, float]) -> Fit:
 
 
 def about_its_own(problem: Problem, found: Fit) -> Fit:
-    """The fit about Monte Carlo at what a fit has found, and anew where that moves it; histories of the problem's.
+    """The fit about Monte Carlo at what a fit has found, and anew where that moves it.
 
+    By a few histories until it stays, and once by as many as the problem's anchor has, where those are more.
     Derivatives are taken once with each anchor: those of effects are a walk for each moved chip.
     """
     anchor = problem.anchor
     if anchor is None:
         raise ValueError("a fit about Monte Carlo needs an anchor to take histories and seed from")
+    few = min(anchor.histories, ON_THE_WAY)
     for _ in range(MAX_ANCHORS):
-        about = replace(anchor, model=found.model, poses=tuple(found.poses.values()))
-        there = replace(thawed(found, problem).problem, anchor=about)
-        before, found = found, refitted(frozen_at(there, found.values), found.values, STEPS)
+        before, found = found, _about(problem, found, replace(anchor, histories=few))
         if found.converged and moved(found, before, problem.unknowns.model_paths) <= ANCHOR_MOVE:
             break
-    return thawed(found, problem)
+    return thawed(found if few == anchor.histories else _about(problem, found, anchor), problem)
+
+
+def _about(problem: Problem, found: Fit, anchor: Anchored) -> Fit:
+    """The fit from where another ended, with the anchor moved to there."""
+    there = replace(anchor, model=found.model, poses=tuple(found.poses.values()))
+    here = replace(thawed(found, problem).problem, anchor=there)
+    return refitted(frozen_at(here, found.values), found.values, STEPS)
 
 
 def fitted_anew(problem: Problem, start: Mapping[str, float]) -> Fit | None:

@@ -71,6 +71,13 @@ class Refitted:
 
     as_well: tuple[Words, ...] = ()
     """Other words of its shape, with which it fits as well."""
+    line: Fit | None = None
+    """Of an effect that the twin cannot represent, fitted about its own value: the fit about the base's anchor."""
+
+    @property
+    def beside_base(self) -> Fit | None:
+        """The fit that has the base's noise of Monte Carlo: what can be held against the base, value by value."""
+        return self.fit if self.line is None else self.line
 
     @property
     def shape(self) -> tuple[tuple[str, Value], ...]:

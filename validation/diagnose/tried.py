@@ -181,10 +181,11 @@ def _held_out(
     base: Fit, found: Refitted, effect: EffectSpec
 ) -> tuple[held.Change | None, tuple[float, float] | None]:
     """The change of the density in data left out, and the rms errors; None where a held-out test is not possible."""
-    if found.fit is None or not held.same_rows(base, found.fit):
+    fit = found.beside_base
+    if fit is None or not held.same_rows(base, fit):
         return None, None
     folds = held.folds_of(base, effect.scope)
     if not folds:
         return None, None
-    before, after = held.held_out(base, folds), held.held_out(found.fit, folds)
+    before, after = held.held_out(base, folds), held.held_out(fit, folds)
     return held.change(before, after), (before.rms_percent, after.rms_percent)

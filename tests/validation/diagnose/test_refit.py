@@ -18,7 +18,7 @@ from luxloop.model import Model
 from tests.validation.analytic import ARRAY, HALO, MODEL, PATHS, SIGMA, SINGLE, Spots, blank
 from tests.validation.diagnose.made_up import GAIN, THIRD, Affected, seen, spec
 from validation.dataset.manifest import Sample
-from validation.diagnose.anew import fitted_anew, has_other_light, has_strayed
+from validation.diagnose.anew import ON_THE_WAY, about_its_own, fitted_anew, has_other_light, has_strayed
 from validation.diagnose.ending import beside, finished, is_stuck, unstuck
 from validation.diagnose.frozen import FrozenImages, frozen_at, slopes_of, without
 from validation.diagnose.refit import Refitted, freed, switched
@@ -144,7 +144,8 @@ def test_what_is_kept_is_fitted_about_monte_carlo_at_its_own_value(line: Refitte
     found = finished(line, predictor, None)
     assert abs(found.value - TRUTH) < 3.0 * found.error
     assert found.error < line.error
-    assert found.chi2 == line.chi2  # held against a fit about the same Monte Carlo
+    assert (found.chi2, found.beside_base) == (line.chi2, line.fit)  # held against a fit about the same Monte Carlo
+    assert line.beside_base is line.fit is not found.fit
     assert found.fit is not None
     assert found.fit.chi2 == pytest.approx(found.fit.freedom, rel=0.1)
     anchor = found.fit.problem.anchor
@@ -156,6 +157,43 @@ def test_what_is_kept_is_fitted_about_monte_carlo_at_its_own_value(line: Refitte
     assert np.abs(shifts[0] - shifts[1]).max() < 0.01
     asked = {(at.histories, at.seed, at.exit_seed) for at in predictor.anchors if at is not None}
     assert asked == {(ANCHORED // 2, 8, 1), (ANCHORED // 2, 9, 2)}  # slopes share no random number with the anchor
+
+
+def with_histories(line: Refitted, histories: int) -> Refitted:
+    """The line about an anchor of so many histories."""
+    assert line.fit is not None
+    anchor = line.fit.problem.anchor
+    assert anchor is not None
+    problem = replace(line.fit.problem, anchor=replace(anchor, histories=histories))
+    return replace(line, fit=replace(line.fit, problem=problem))
+
+
+def test_many_histories_are_for_the_last_anchor_of_what_is_kept(line: Refitted) -> None:
+    """Where it shall be is found by few; its slope has a part of them; the size is the one that few find, too."""
+    few, predictor = finished(line, Anchors(), None), Anchors()
+    found = finished(with_histories(line, 8 * ON_THE_WAY), predictor, None)
+    assert found.fit is not None
+    assert found.fit.problem.anchor is not None
+    assert found.fit.problem.anchor.histories == 8 * ON_THE_WAY
+    assert found.value == pytest.approx(few.value, abs=0.3 * few.error)
+    asked = [at.histories for at in predictor.anchors if at is not None]
+    assert set(asked) == {ON_THE_WAY // 2, ON_THE_WAY}
+    assert asked == sorted(asked)  # slopes: on the way, then at last
+
+
+def test_a_fit_about_its_own_monte_carlo_has_many_histories_at_last(base: Fit) -> None:
+    """By few until it stays, and once by all; where all are few, never more than that."""
+    anchor = base.problem.anchor
+    assert anchor is not None
+    for histories, expected in ((8 * ON_THE_WAY, {ON_THE_WAY, 8 * ON_THE_WAY}), (ANCHORED, {ANCHORED})):
+        predictor = Anchors()
+        problem = replace(base.problem, predictor=predictor, anchor=replace(anchor, histories=histories))
+        found = about_its_own(problem, base)
+        assert found.problem.anchor is not None
+        assert found.problem.anchor.histories == histories
+        asked = [at.histories for at in predictor.anchors if at is not None and at.histories]
+        assert set(asked) == expected
+        assert asked == sorted(asked)
 
 
 def test_an_effect_with_walks_of_its_own_is_fitted_as_one_that_the_twin_does_not_know(
