@@ -7,7 +7,6 @@ of the wanted chip itself, whose exits are reweighted for the chips that a colum
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -21,6 +20,7 @@ from containers.ray_tracing.build import cell_of, scene_of
 from containers.ray_tracing.exit_source import BATCH, ExitSource
 from containers.ray_tracing.exits import Exits
 from containers.ray_tracing.field import Field
+from containers.ray_tracing.kept import Kept
 from containers.ray_tracing.light import unweighed
 from containers.ray_tracing.monte_carlo import BLOCK, blocks_of
 from containers.ray_tracing.outcome import Arrays, Document
@@ -37,7 +37,6 @@ from containers.ray_tracing.twin.prediction import (
     jacobian,
     named,
     refuse_several_sizes,
-    remembered,
     stencil_of,
     twin_views,
 )
@@ -56,6 +55,8 @@ MOST_CHIPS = 2_500
 """Of a module: its image takes 2.4 s (5 x 5: 20 ms), and within an image nobody listens for a cancel."""
 HELD_BYTES = 128 << 20
 """Of anchors that are kept; the latest is kept in any case."""
+HELD_FIELDS = 64
+"""By Monte Carlo: 0.4 to 1.1 MB each."""
 SHADOW_RAYS = 4096
 SLOPE_STEP = 1e-4
 """Of the full scale: by which a signal is moved to find the slope of a sensor's effects."""
@@ -78,8 +79,8 @@ class Predictor:
 
     def __init__(self, source: ExitSource, threads: int | None = None) -> None:
         self._source, self._threads = source, threads or usable_cores()
-        self._anchors: OrderedDict[str, Anchor] = OrderedDict()
-        self._fields: OrderedDict[str, Field] = OrderedDict()  # by Monte Carlo: one run serves any camera
+        self._anchors = Kept[Anchor](HELD_BYTES, lambda one: one.nbytes)
+        self._fields = Kept[Field](HELD_FIELDS)  # by Monte Carlo: one run serves any camera
         self._lights = Lights()  # of the twin's chips: what only cameras or places change has them again
 
     def answer(self, request: PredictionRequest, means: Means, progress: Progress) -> tuple[Document, Arrays]:
@@ -140,13 +141,12 @@ class Predictor:
             raise InputError("anchor.shots", given, allowed, "one for each of the wanted ones, in the same order")
         decisive = job.request.model_dump(mode="json", include={"anchor", "exit_histories", "exit_seed"})
         key = sha256_of([decisive, *([] if asked.shots else [shot.model_dump(mode="json") for shot in wanted])])
-        if key not in self._anchors:
+
+        def make() -> Anchor:
             shots = _shots(at, "anchor.shots" if asked.shots else "shots", means)
-            self._anchors[key] = job.anchor(asked, at, shots, supply, self._fields)
-        self._anchors.move_to_end(key)
-        while len(self._anchors) > 1 and sum(one.nbytes for one in self._anchors.values()) > HELD_BYTES:
-            self._anchors.popitem(last=False)
-        return self._anchors[key]
+            return job.anchor(asked, at, shots, supply, self._fields)
+
+        return self._anchors.of(key, float(asked.histories), make)
 
 
 class _Steps:
@@ -201,7 +201,7 @@ class _Job:
         at: Sequence[ShotRequest],
         shots: Sequence[Shot],
         supply: Supply,
-        known: OrderedDict[str, Field],
+        known: Kept[Field],
     ) -> Anchor:
         """An anchor at these shots; what several cameras see is run once, what is `known` is not run again."""
         modules = [_module_key(wanted, shot) for wanted, shot in zip(at, shots, strict=True)]
@@ -209,11 +209,12 @@ class _Job:
             return Anchor(shots, None, supply, report=self.steps.image, **self.options)
         run = asked.model_dump(mode="json", exclude={"shots"}) | {"exit_seed": self.request.exit_seed}
         keys = [sha256_of({"module": module, "run": run}) for module in modules]
-        self.steps.total += RUN_STEPS * len(set(keys) - set(known)) + 2 * len(shots)
+        self.steps.total += RUN_STEPS * sum(key not in known for key in set(keys)) + 2 * len(shots)
         fields = []
         for key, wanted, shot in zip(keys, at, shots, strict=True):
             with named(shot.name):
-                fields.append(remembered(known, key, partial(self._field, asked, wanted, shot.traced)))
+                run_it = partial(self._field, asked, wanted, shot.traced)
+                fields.append(known.of(key, float(asked.histories), run_it))
         return Anchor(shots, fields, supply, report=self.steps.image, **self.options)
 
     def _field(self, asked: AnchorRequest, wanted: ShotRequest, scene: Scene) -> Field:

@@ -218,7 +218,7 @@ def test_bits_do_not_depend_on_what_was_asked_before(monkeypatch: pytest.MonkeyP
     for _ in range(2):
         same(ask(anchored, of), cold_anchored)
         same(ask(plain, of), cold)
-    monkeypatch.setattr(predictor_module, "HELD_BYTES", 0)
+    monkeypatch.setattr(of._predictor._anchors, "_most", 0)
     ask(request(*near, anchor=anchor), of)
     assert len(of._predictor._anchors) == 1
     same(ask(anchored, of), cold_anchored)

@@ -12,7 +12,7 @@ from containers.bsdf import Facets, Fresnel, direction_of
 from containers.effects.side_wall_roughness import SideWallRoughness
 from containers.ray_tracing.arrays import SIDE_IN, SIDE_OUT
 from containers.ray_tracing.exits import make_exits
-from containers.ray_tracing.facet_kernel import seen_below, slope_at, unmasked
+from containers.ray_tracing.facet_kernel import normal_quantile, seen_below, slope_at, unmasked
 from containers.ray_tracing.monte_carlo import BLOCK
 from containers.ray_tracing.packing import scene_arrays
 from containers.ray_tracing.philox import FACE, STREAM_WORDS, start
@@ -41,6 +41,13 @@ def test_slopes_are_those_of_the_area_seen(cosine: float) -> None:
         x = slope_at(u, cosine, sine)
         assert seen_below(x, cosine, sine) == pytest.approx(u * seen_below(end, cosine, sine), rel=1e-8)
         assert slope_at(u, 1.0, 0.0) == pytest.approx(norm.ppf(u), abs=1e-8)
+
+
+def test_the_normal_quantile_is_scipy_s() -> None:
+    """In the middle, at the sides and far out, and beyond all numbers at the ends."""
+    for u in (1e-300, 1e-40, 1e-12, 0.01, 0.074, 0.076, 0.3, 0.5, 0.7, 0.926, 0.99, 1.0 - 1e-12):
+        assert normal_quantile(u) == pytest.approx(norm.ppf(u), rel=1e-14, abs=1e-15)
+    assert (normal_quantile(0.0), normal_quantile(1.0)) == (-np.inf, np.inf)
 
 
 @pytest.mark.parametrize("slope", [0.1, 0.5])
