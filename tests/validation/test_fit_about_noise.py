@@ -29,6 +29,7 @@ from validation.fit import (
 )
 from validation.fit.image_fit import crossed
 from validation.fit.least_squares import Step, reduce
+from validation.fit.model_noise import noise_shares
 from validation.fit.parameters import Unknowns
 from validation.fit.result import WANTED_NOISE, histories_for
 from validation.prediction import Anchored, Pose, View
@@ -202,16 +203,22 @@ def test_errors_and_chi2_hold_about_a_noisy_anchor(about_noise):
 
 
 def test_the_last_anchor_takes_as_many_histories_as_its_noise_asks_for():
-    """Up to the bound; without one it stays as it is."""
-    noise = {one.id: _waves(one, 0.004) for one in (SINGLE, ARRAY)}
-    for most, histories in ((0, 1000), (5000, 5000), (10**9, None)):
+    """Of each sample by itself, up to the bound; without one it stays as it is."""
+    noise = {SINGLE.id: _waves(SINGLE, 0.002), ARRAY.id: _waves(ARRAY, 0.004)}
+    for most, histories in ((0, (1000, 1000)), (1200, (1200, 1200)), (10**9, None)):
         predictor = Spots(noise)
         found = fit(
             MODEL, two_images(), predictor, anchor_at=lambda model: Anchored(model, 1000), most_histories=most
         )
-        wanted = histories or histories_for(WANTED_NOISE, 1000, found.noise_share)
-        asked = [anchor.histories for anchor in predictor.anchors if anchor is not None and anchor.histories]
-        assert found.problem.anchor.histories == asked[-1] == wanted
+        shares = noise_shares(found.whitening)
+        assert found.noise_share == pytest.approx(np.hypot(*shares) / np.sqrt(2.0), rel=0.05)
+        wanted = histories or tuple(histories_for(WANTED_NOISE, 1000, share) for share in shares)
+        asked = [anchor for anchor in predictor.anchors if anchor is not None and anchor.histories][-1]
+        assert found.problem.anchor == asked
+        assert (asked.histories_of(SINGLE.id), asked.histories_of(ARRAY.id)) == wanted
+        assert asked.histories == max(wanted)
+        assert replace(asked, histories=500).histories_of(SINGLE.id) == 500
+    assert wanted[0] < wanted[1]
     assert histories_for(0.5, 1000, 1.0) == 4000
 
 

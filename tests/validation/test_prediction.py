@@ -70,6 +70,18 @@ def test_views_of_one_size_are_one_request(workers: Workers, model: Model) -> No
     assert all(not one.jacobian_per_mm2 and one.noise_per_mm2 is None for one in found)
 
 
+def test_a_sample_for_which_fewer_histories_do_has_a_request_of_its_own(workers: Workers, model: Model) -> None:
+    """With its own number of them; what it sees does not depend on whom it is asked with."""
+    few = Anchored(model, 65_536, enough=((FOUR.id, 32_768),))
+    views = [view(), view(FOUR)]
+    found = Predictor(workers).images(model, views, (), few)
+    asked = {request.anchor.histories: request.shots[0].array.rows for request in workers.of_kind("ray")}
+    assert asked == {65_536: 1, 32_768: 2}
+    for one, here, anchor in zip(found, views, (few, replace(few, histories=32_768)), strict=True):
+        (alone,) = Predictor(workers).images(model, [here], (), anchor)
+        np.testing.assert_array_equal(one.irradiance_per_mm2, alone.irradiance_per_mm2)
+
+
 def test_a_sample_is_asked_for_as_it_stands(workers: Workers, model: Model) -> None:
     """Its design, its half width (2 mm around a single), its film, its camera."""
     turned = view(FOUR, pose=Pose((0.5, -1.0), 2.0))

@@ -1,7 +1,8 @@
 """Verdicts on blind sets: the same diagnosis that a user gets, one record a set, written whole.
 
 The seal is not opened, and nothing of `answers/` is read. Sets of one light are the same scene with other noise: what
-the first of them asked of the workers (columns of effects, the anchor's Monte Carlo, the null) serves all.
+the first of them asked of the workers (columns of effects, the anchor's Monte Carlo, the null) serves all, and fits
+begin where its own ended.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ from validation.diagnose.ground import Ground
 from validation.diagnose.score import Candidate
 from validation.diagnosing import Diagnosing
 from validation.effects.known import Known
-from validation.fit import Fit
+from validation.fit import Fit, refitted
 from validation.fit.parameters import free_paths
 from validation.observed import Observed
 from validation.prediction import Anchored, Predictor
@@ -76,7 +77,10 @@ class SharedDiagnosing(Diagnosing):
     shared: Shared = field(default_factory=Shared)
 
     def fitted(self, model: Model) -> Fit:
-        """The base fit; its anchor is that of the sets to come."""
+        """The base fit; its anchor is that of the sets to come, whose fits begin where it ended, if it is trusted."""
+        first = self.shared.ground
+        if first is not None and first.fit.trusted:
+            return refitted(replace(first.fit.problem, images=self.observed.images), first.fit.values)
         found = super().fitted(model)
         self.shared.anchor = self.shared.anchor or found.problem.anchor
         return found

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from luxloop.errors import InputError
 from luxloop.model import Model
 from validation.fit.least_squares import Parameter, Reduced, Step, prior_chi2, reduce
+from validation.fit.model_noise import noise_shares
 from validation.fit.parameters import CurveData, Discrepancy, free_paths, gain_of, unknowns_of
 from validation.fit.problem import CurvePredictor, Evaluation, ImagePredictor, Problem, view_of
 from validation.fit.result import WANTED_NOISE, Fit, conclude, histories_for
@@ -112,14 +113,24 @@ def refitted(problem: Problem, values: Real, most: int = MAX_ITERATIONS) -> Fit:
 
 
 def _quieter(found: Fit, most_histories: int) -> Fit:
-    """The fit about its own anchor with as many histories as its noise asks for, where those are more."""
+    """The fit about its own anchor, with as many histories of each sample as its noise asks for."""
     anchor = found.problem.anchor
     if anchor is None or not anchor.histories:
         return found
-    wanted = min(histories_for(WANTED_NOISE, anchor.histories, found.noise_share), most_histories)
-    if wanted <= anchor.histories:
+    noisiest: dict[str, float] = {}
+    for image, share in zip(found.problem.images, noise_shares(found.whitening), strict=True):
+        noisiest[image.sample.id] = max(share, noisiest.get(image.sample.id, 0.0))
+    wanted = {
+        sample: int(np.clip(histories_for(WANTED_NOISE, anchor.histories, share), anchor.histories, most_histories))
+        for sample, share in noisiest.items()
+    }
+    most = max(wanted.values())
+    if most <= anchor.histories:
         return found
-    moved = replace(anchor, model=found.model, poses=tuple(found.poses.values()), histories=wanted)
+    moved = replace(
+        anchor, model=found.model, poses=tuple(found.poses.values()), histories=most,
+        enough=tuple((sample, histories) for sample, histories in wanted.items() if histories < most),
+    )  # fmt: skip
     return _unclipped(replace(found.problem, anchor=moved), found.values, found.iterations)
 
 

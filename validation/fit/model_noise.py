@@ -74,6 +74,12 @@ def told_variance(white: Whitening) -> Real:
     return variance
 
 
+def noise_shares(white: Whitening) -> list[float]:
+    """Rms over the used pixels of each image of the same; 0 for one without any."""
+    parts = np.split(told_variance(white), np.cumsum([int(used.sum()) for used in white.used])[:-1])
+    return [float(np.sqrt(part.mean())) if part.size else 0.0 for part in parts]
+
+
 def noise_share(white: Whitening) -> float:
     """Rms over all pixels of the Monte Carlo's noise, in standard deviations of the camera's."""
     total = sum(float(np.sum(block.columns**2)) for block in white.noise)

@@ -111,7 +111,7 @@ def predict(wanted: Wanted, views: Sequence[View], ask: Ask) -> list[Predicted]:
     at, times = wanted.anchor, 1 + len(wanted.paths)
     if at is not None and at.poses and len(at.poses) != len(views):
         raise InputError("anchor.poses", len(at.poses), f"{len(views)}, one for each view, or none")
-    groups = list(_groups(views, times + ANCHOR_FUNCTIONS * (at is not None)))
+    groups = list(_groups(views, times + ANCHOR_FUNCTIONS * (at is not None), at))
     moves = list(_moves(wanted, views))
     further = [group for some in _by_path(moves) for group in _groups_of(some, moves, views)]
     requests = [_image_request(wanted, views, group) for group in groups]
@@ -208,7 +208,8 @@ def _image_request(wanted: Wanted, views: Sequence[View], group: Sequence[int]) 
     poses = at.poses or [Pose()] * len(views)
     seen = [replace(views[number], pose=poses[number], sensor=None) for number in group]
     anchored = tuple(_shot(at.model, view, wanted.film_of) for view in seen)
-    anchor = AnchorRequest(shots=anchored, histories=at.histories, seed=str(at.seed), stored_exits=at.stored_exits)
+    histories = at.histories_of(views[group[0]].sample.id)
+    anchor = AnchorRequest(shots=anchored, histories=histories, seed=str(at.seed), stored_exits=at.stored_exits)
     return PredictionRequest(shots=shots, columns=wanted.poses, anchor=anchor, exit_seed=wanted.exit_seed)
 
 
@@ -300,12 +301,13 @@ def _groups_of(some: Sequence[int], moves: Sequence[_Move], views: Sequence[View
         yield [some[k] for k in group]
 
 
-def _groups(views: Sequence[View], times: int) -> Iterator[list[int]]:
-    """Numbers of views of one size, as many together as a request and its answer hold."""
-    sizes: dict[tuple[int, int], list[int]] = {}
+def _groups(views: Sequence[View], times: int, at: Anchored | None = None) -> Iterator[list[int]]:
+    """Numbers of views of one size, and of as many histories, as many together as a request and its answer hold."""
+    alike: dict[tuple[int, int, int], list[int]] = {}
     for number, view in enumerate(views):
-        sizes.setdefault((view.rows, view.columns), []).append(number)
-    for (rows, columns), numbers in sizes.items():
+        histories = 0 if at is None else at.histories_of(view.sample.id)
+        alike.setdefault((view.rows, view.columns, histories), []).append(number)
+    for (rows, columns, _), numbers in alike.items():
         most = max(1, min(MOST_SHOTS, MOST_VALUES // (rows * columns * times)))
         yield from (numbers[first : first + most] for first in range(0, len(numbers), most))
 

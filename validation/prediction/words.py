@@ -80,6 +80,12 @@ class Anchored:
     """Of the walk inside chips whose exits the twin lands: its derivatives have noise of their own."""
     stored_exits: bool = False
     """Whether Monte Carlo lands exits of that walk, too: what stands around a chip is moved without walking anew."""
+    enough: tuple[tuple[str, int], ...] = ()
+    """(id of a sample, histories) where fewer do: one chip lights its image with all of them, 25 share them."""
+
+    def histories_of(self, sample: str) -> int:
+        """Of a sample by its id."""
+        return min(self.histories, dict(self.enough).get(sample, self.histories))
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,6 +10,7 @@ from typing import Any, cast
 import pytest
 
 from luxloop.model_file import find_model
+from tests.validation.analytic import MODEL, PATHS, Spots, two_images
 from tests.validation.blind_test.pretend import answer, folder_of, record
 from validation.blind_test import told
 from validation.blind_test.bound import Chain, close
@@ -19,6 +20,7 @@ from validation.blind_test.records import record_path
 from validation.blind_test.seals import seal
 from validation.comparing import Solver
 from validation.diagnosing import Diagnosing
+from validation.observed import Observed
 from validation.prediction import Anchored
 
 PAPER = find_model("paper")
@@ -66,3 +68,25 @@ def test_the_first_set_makes_its_anchor_anew_where_its_fit_moves_and_lends_the_l
     first, second = engine.fitted(PAPER), engine.fitted(PAPER)
     assert first.asked == [Anchored(PAPER, 1000, 1), Anchored(MOVED, 1000, 1)]
     assert second.asked == [Anchored(MOVED, 1000, 1)] * 2
+
+
+def test_a_further_set_of_a_light_ends_where_a_fit_of_its_own_does_with_fewer_questions() -> None:
+    """Other noise on the same scene: begun where the first one ended, or from nothing where that is not trusted."""
+    solver, shared, known = Solver(1000), Shared("a"), cast("Any", SimpleNamespace(specs=[]))
+
+    def engine(kind: Any, seed: int, **more: Any) -> tuple[Any, Spots]:
+        predictor, observed = Spots(), Observed(tuple(two_images(seed)), (), (), {})
+        return kind(MODEL, observed, predictor, known, solver, PATHS, **more), predictor
+
+    first = engine(SharedDiagnosing, 1, shared=shared)[0].fitted(MODEL)
+    shared.ground = cast("Any", SimpleNamespace(fit=first))
+    (own, asked), (begun, fewer) = engine(Diagnosing, 2), engine(SharedDiagnosing, 2, shared=shared)
+    alone, found = own.fitted(MODEL), begun.fitted(MODEL)
+    assert fewer.asked < asked.asked
+    for path in PATHS:
+        assert abs(found.value(path) - alone.value(path)) < 0.1 * alone.error(path)
+    assert found.chi2 == pytest.approx(alone.chi2, abs=1.0)  # each by the whitening of where it stood before
+    shared.ground = cast("Any", SimpleNamespace(fit=first.doubted(["it"])))
+    again, afresh = engine(SharedDiagnosing, 2, shared=shared)
+    again.fitted(MODEL)
+    assert afresh.asked > fewer.asked
