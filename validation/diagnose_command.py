@@ -149,7 +149,7 @@ def diagnose(
         among=[name.strip() for name in (among or "").split(",") if name.strip()], most_histories=most_histories,
     ) as (engine, subject, at):  # fmt: skip
         found = engine.diagnosed()
-        told_of = facts_of(subject, at, engine, pixel_um, film) | document(found, engine.proposals, seed)
+        told_of = facts_of(subject, at, engine, pixel_um, film) | document(found, seed)
         told_of |= {"not_tested": engine.untested}
         at.record(told_of, maps_of(found.steps[0].ground.fit))
         arrays = {}

@@ -23,7 +23,7 @@ from validation.diagnose.ending import finished
 from validation.diagnose.frozen import slopes_of
 from validation.diagnose.ground import Ground
 from validation.diagnose.groups import joined
-from validation.diagnose.next_measurement import Proposal, Rivals, next_in_words
+from validation.diagnose.next_measurement import Proposal, Rivals
 from validation.diagnose.refit import Refitted, refit
 from validation.diagnose.score import Candidate, Projected, Score, scores
 from validation.effects.known import Known, for_chips
@@ -60,8 +60,6 @@ class Diagnosing:
     progress: Progress = silent
     among: tuple[str, ...] = ()
     """Names of the effects to choose from; none: all."""
-    proposals: list[Proposal] = field(default_factory=list)
-    """Of the last verdict that could not tell effects apart."""
     refused: dict[str, str] = field(default_factory=dict)
     """Effects that cannot be had with these samples, with the reason."""
     traced: dict[tuple[object, ...], list[Column]] = field(default_factory=dict)
@@ -174,12 +172,11 @@ class Diagnosing:
             self._sight = found, sight
         return self._sight[1]
 
-    def next_image(self, found: Fit, rivals: Sequence[Refitted]) -> str:
-        """What would tell rivals apart, in words; the proposals are kept."""
-        self.proposals = Rivals(found, rivals, self.predictor, self.known.beyond_twin).proposals(
+    def next_image(self, found: Fit, rivals: Sequence[Refitted]) -> list[Proposal]:
+        """What would tell rivals apart, the best first."""
+        return Rivals(found, rivals, self.predictor, self.known.beyond_twin).proposals(
             lambda share, words: self.progress(0.9 + 0.1 * share, words)
         )
-        return next_in_words(self.proposals, images=bool(self.observed.images))
 
     def diagnosed(self) -> Diagnosis:
         """The verdict."""

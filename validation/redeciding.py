@@ -57,12 +57,14 @@ def verdict_of(document: Document, tried: Sequence[Explanation]) -> Verdict | No
     if not tried or not is_visible(document["structure"]["p"], document["scores_p"]):
         return None
     found = decided(tried, document["known"], lambda: "", lambda _: "")
+    named = [one for one in tried if one.name in found.set[:1]]
+    if named and named[0].distrust and len(document["added"]) == 1:
+        return doubted(named[0])
     kept = [row for row in document["added"] if "share_error" in row]  # told since decision 44
     shares = [Share(row["share"], _infinite(row["share_error"])) for row in kept]
-    if kept and leaves_too_much(kept[-1]["p_left"], shares):
+    if kept and kept[-1]["leads_on"] and leaves_too_much(kept[-1]["p_left"], shares):
         return none_of_the_known(document["known"], shares[0].value, "")
-    named = [one for one in tried if one.name in found.set[:1]]
-    return doubted(named[0]) if named and named[0].distrust and len(document["added"]) == 1 else found
+    return found
 
 
 def explanation_of(row: Document) -> Explanation:

@@ -210,7 +210,7 @@ def compared_again(step: Any, model: Model, answers: FromAnswers) -> Plain:
 def diagnosed_again(step: Any, model: Model, answers: FromAnswers) -> Plain:
     """The document of a diagnosis."""
     engine = _engine(step, model, answers)
-    return diagnosis_document(engine.diagnosed(), engine.proposals, engine.solver.seed)
+    return diagnosis_document(engine.diagnosed(), engine.solver.seed)
 
 
 def changed_again(step: Any, model: Model, answers: FromAnswers) -> Plain:

@@ -222,6 +222,23 @@ def test_the_last_anchor_takes_as_many_histories_as_its_noise_asks_for():
     assert histories_for(0.5, 1000, 1.0) == 4000
 
 
+def test_an_anchor_that_has_enough_is_not_made_anew():
+    """Each sample is counted by its own histories, and a few more are not worth a run."""
+    noise = {SINGLE.id: _waves(SINGLE, 0.0004), ARRAY.id: _waves(ARRAY, 0.00085)}
+    there, predictor = Anchored(MODEL, 24_000, enough=((SINGLE.id, 1000),)), Spots(noise)
+    found = fit(MODEL, two_images(), predictor, anchor_at=lambda _: there, most_histories=10**6)
+    assert all(share < 1.09 * WANTED_NOISE for share in noise_shares(found.whitening))
+    assert {(one.histories, one.enough) for one in predictor.anchors if one is not None and one.histories} == {
+        (there.histories, there.enough)
+    }
+    noisier = Spots({**noise, SINGLE.id: _waves(SINGLE, 0.002)})
+    found = fit(MODEL, two_images(), noisier, anchor_at=lambda _: there, most_histories=10**6)
+    single = noise_shares(found.whitening)[0]
+    asked = found.problem.anchor
+    assert asked.histories_of(SINGLE.id) == histories_for(WANTED_NOISE, 1000, single) < asked.histories_of(ARRAY.id)
+    assert asked.histories_of(ARRAY.id) == pytest.approx(24_000, rel=0.2)
+
+
 def test_a_profile_about_a_noisy_anchor_is_lowest_at_the_fit(about_noise):
     """Chi2 itself is least elsewhere; summed up from its slope the valley ends where the fit does."""
     for one in about_noise[0][:4]:

@@ -54,7 +54,7 @@ def found() -> Diagnosis:
 @pytest.fixture(scope="module")
 def diagnosed(found: Diagnosis) -> Plain:
     """Its document."""
-    return as_kept(document(found, [], 1))
+    return as_kept(document(found, 1))
 
 
 def put(tree: Any, path: str, value: Any) -> Any:
@@ -72,7 +72,7 @@ def test_a_verdict_follows_from_its_numbers(diagnosed: Plain) -> None:
     """As it was told, from shares, held-out errors and rivals alone."""
     assert diagnosed["verdict"] in ("one_effect", "cannot_tell_apart")
     assert said(lambda at: diagnosis(diagnosed, at)) == []
-    nothing = as_kept(document(made_up.diagnosis(made_up.data(None, 9), known=made_up.CATALOGUE[:1]), [], 1))
+    nothing = as_kept(document(made_up.diagnosis(made_up.data(None, 9), known=made_up.CATALOGUE[:1]), 1))
     assert nothing["verdict"] == "nothing_visible"
     assert said(lambda at: diagnosis(nothing, at)) == []
 

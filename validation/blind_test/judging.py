@@ -155,7 +155,7 @@ class Judge:
             self.cache, among=self.among, shared=shared,
         )  # fmt: skip
         found = engine.diagnosed()
-        told = document(found, engine.proposals, solver.seed)
+        told = document(found, solver.seed)
         record = {
             "schema": SCHEMA, "id": one.id, "light": one.light, "seal": sealed, "dataset_sha256": dataset.sha256,
             "model_sha256": self.model.sha256, "solver": self.solver.document(), "among": list(self.among),

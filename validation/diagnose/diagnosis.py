@@ -17,6 +17,7 @@ import numpy as np
 from luxloop.effect import EffectSpec
 from validation.diagnose.ground import Ground
 from validation.diagnose.in_words import left_in_words, limits_in_words, more_in_words
+from validation.diagnose.next_measurement import Proposal, next_in_words
 from validation.diagnose.refit import Refitted
 from validation.diagnose.score import Candidate, Projected, Scores, scores
 from validation.diagnose.tried import Progress, Tried, short_list
@@ -53,8 +54,8 @@ class Means:
     """The same of effects that only Monte Carlo shows, with less of its noise."""
     ground_of: Callable[[Fit], Ground]
     """The structure of a further fit, with a null of its own."""
-    next_image: Callable[[Fit, Sequence[Refitted]], str]
-    """In words, the measurement that would tell rivals apart, the best of them first."""
+    next_image: Callable[[Fit, Sequence[Refitted]], list[Proposal]]
+    """Measurements that would tell rivals apart, the best of them first."""
     progress: Progress = lambda *_: None
 
 
@@ -68,6 +69,8 @@ class Step:
     refits: tuple[Refitted, ...]
     explanations: tuple[Explanation, ...]
     verdict: Verdict
+    proposals: tuple[Proposal, ...] = ()
+    """Where it cannot tell effects apart: the measurements that would."""
 
     @property
     def best(self) -> Explanation:
@@ -78,6 +81,11 @@ class Step:
     def kept(self) -> Refitted | None:
         """The refit of the effect that the verdict names first; None where it names none."""
         return next((one for one in self.refits if one.candidate.effect.name in self.verdict.set[:1]), None)
+
+    @property
+    def leads_on(self) -> bool:
+        """Whether another effect can be looked for beside the one that is kept: there is no fit of a group."""
+        return self.kept is not None and self.kept.fit is not None
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,11 +100,12 @@ class Diagnosis:
     def verdict(self) -> Verdict:
         """Of the first round; a second effect that was found besides is told after it."""
         first = self.steps[0].verdict
-        if self.added and leaves_too_much(self.added[-1].p_left, [one.share for one in self.added]):
-            ground = self.steps[0].ground
-            return none_of_the_known(self.known, self.added[0].share.value, left_in_words(ground))
         if len(self.added) == 1 and self.added[0].distrust:
             return doubted(self.added[0])
+        shares = [one.share for one in self.added]
+        if self.added and self.steps[-1].leads_on and leaves_too_much(self.added[-1].p_left, shares):
+            ground = self.steps[0].ground
+            return none_of_the_known(self.known, self.added[0].share.value, left_in_words(ground))
         if len(self.added) < 2:
             return first
         further = ", ".join(f"{one.name} ({one.size})" for one in self.added[1:])
@@ -105,7 +114,18 @@ class Diagnosis:
     @property
     def added(self) -> list[Explanation]:
         """The effect of each round that was kept, and of the last one where it explains what is left."""
-        return [step.best for step in self.steps if step.verdict.word in ("one_effect", "cannot_tell_apart")]
+        return [step.best for step in self.steps if step.verdict.names]
+
+    @property
+    def set(self) -> tuple[str, ...]:
+        """Names of the effects that the verdict speaks of."""
+        return self.steps[0].verdict.set if self.verdict.names else ()
+
+    @property
+    def proposals(self) -> tuple[Proposal, ...]:
+        """The measurements that the last round which could not tell effects apart asks for."""
+        asked = [step.proposals for step in self.steps if step.verdict.word == "cannot_tell_apart"]
+        return asked[-1] if asked and self.verdict.names else ()
 
 
 def diagnosed(
@@ -118,9 +138,10 @@ def diagnosed(
         step = _step(ground, [one for one in effects if one.name not in present], means, seed, level)
         steps.append(step)
         kept = step.kept
-        if kept is None or kept.fit is None or step.best.p_left >= level / 2.0:
+        if not step.leads_on or step.best.p_left >= level / 2.0:
             break
-        ground = means.ground_of(kept.fit)
+        if kept is not None and kept.fit is not None:
+            ground = means.ground_of(kept.fit)
     return Diagnosis(tuple(trusted(steps)), len(effects))
 
 
@@ -164,12 +185,16 @@ def _step(ground: Ground, effects: Sequence[EffectSpec], means: Means, seed: int
     tried.refit(means.progress)
     tried.finish(means.progress)
 
+    proposals: list[Proposal] = []
+
     def next_image(names: Sequence[str]) -> str:
         by_name = {one.candidate.effect.name: one for one in tried.refits}
-        return means.next_image(fit, [by_name[name] for name in names])
+        proposals[:] = means.next_image(fit, [by_name[name] for name in names])
+        return next_in_words(proposals, images=bool(fit.problem.images))
 
     verdict = decided(tried.explanations, len(effects), lambda: left_in_words(ground), next_image, level)
-    return Step(ground, scored, alike, tuple(tried.refits), tuple(tried.explanations), verdict)
+    refits, explanations = tuple(tried.refits), tuple(tried.explanations)
+    return Step(ground, scored, alike, refits, explanations, verdict, tuple(proposals))
 
 
 def _scored(ground: Ground, candidates: Sequence[Candidate], seed: int) -> tuple[Projected, Scores]:

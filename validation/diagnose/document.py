@@ -20,10 +20,9 @@ from validation.sample_values import LEAD
 REGIONS = 8
 
 
-def document(found: Diagnosis, proposals: Sequence[Proposal], seed: int) -> dict[str, Any]:
+def document(found: Diagnosis, seed: int) -> dict[str, Any]:
     """Of the whole diagnosis; of its first round in detail, of the others what they added."""
     first = found.steps[0]
-    proposals = [] if found.verdict.word == "none_of_the_known" else proposals
     return {
         "verdict": found.verdict.word,
         "sentence": found.verdict.sentence,
@@ -40,7 +39,7 @@ def document(found: Diagnosis, proposals: Sequence[Proposal], seed: int) -> dict
         ],
         "scores_p": first.scores.p,
         "untestable": list(first.scores.untestable),
-        "set": [] if found.verdict.word == "none_of_the_known" else list(first.verdict.set),
+        "set": list(found.set),
         "groups": [list(group) for group in first.confounding.groups if len(group) > 1],
         "confounding": {
             "names": [first.confounding.names[k] for k in first.confounding.order],
@@ -50,12 +49,12 @@ def document(found: Diagnosis, proposals: Sequence[Proposal], seed: int) -> dict
             ],
         },
         "added": [
-            {"name": one.name, "size": one.size, "p_left": one.p_left, "share": one.share.value,
-                "share_error": finite(one.share.error),}
-            for one in found.added
+            {"name": one.best.name, "size": one.best.size, "p_left": one.best.p_left, "share": one.best.share.value,
+                "share_error": finite(one.best.share.error), "leads_on": one.leads_on}
+            for one in found.steps if one.verdict.names
         ],
-        "next_measurement": _next(proposals),
-        "candidates": [one.document() for one in proposals],
+        "next_measurement": _next(found.proposals),
+        "candidates": [one.document() for one in found.proposals],
         "limits": [
             {"name": name, "parameter": parameter, "value": value, "unit": unit}
             for name, parameter, value, unit in limits(first.scores)

@@ -12,11 +12,15 @@ from validation.diagnose.refit import limits_of
 from validation.diagnose.score import Scores
 from validation.diagnose.verdict import LEVEL
 from validation.fit import Fit
+from validation.fit.image_fit import WORTH_MORE
+from validation.fit.model_noise import noise_shares
 from validation.fit.result import WANTED_NOISE, histories_for
 
 POWER = 0.9
 FEW = 3
 """Limits and regions that a sentence names; tables have them all."""
+MOST_HISTORIES = 10**9
+"""That a command takes."""
 
 
 def limits_in_words(scored: Scores, level: float) -> list[str]:
@@ -48,9 +52,13 @@ def limits(scored: Scores, level: float = LEVEL) -> list[tuple[str, str, float, 
 def more_in_words(fit: Fit) -> str:
     """How more would be seen, where the Monte Carlo's own noise hides it; else nothing (decision 43)."""
     anchor = fit.problem.anchor
-    if anchor is None or not anchor.histories or fit.noise_share <= WANTED_NOISE:
+    if anchor is None or not anchor.histories:
         return ""
-    needed = histories_for(WANTED_NOISE, anchor.histories, fit.noise_share)
+    shares = zip(fit.problem.images, noise_shares(fit.whitening), strict=True)
+    needed = max(histories_for(WANTED_NOISE, anchor.histories_of(one.sample.id), share) for one, share in shares)
+    needed = min(needed, MOST_HISTORIES)
+    if needed < WORTH_MORE * anchor.histories:
+        return ""
     return (
         f" The Monte Carlo's own noise is {fit.noise_share:.2f} of the camera's by pixel, and more of it along what"
         f" is smooth: --most-histories {needed} would show smaller ones."

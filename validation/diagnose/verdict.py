@@ -107,6 +107,11 @@ class Verdict:
     set: tuple[str, ...] = ()
     """Effects that explain within 10 % of the best."""
 
+    @property
+    def names(self) -> bool:
+        """Whether it names an effect, or several."""
+        return self.word in ("one_effect", "cannot_tell_apart")
+
 
 def not_trustworthy(reasons: Sequence[str]) -> Verdict:
     """The fit itself is in doubt."""

@@ -44,6 +44,7 @@ MAX_ITERATIONS = 40
 TWIN_STEPS = 10  # before there is an anchor: where a model lacks much, more go about a bent valley for nothing
 MAX_DAMPING = 1e6
 MAX_ANCHORS = 3
+WORTH_MORE = 1.2  # times as many histories: for fewer no anchor is made anew
 ANCHOR_MOVE = 0.3  # of a parameter's error: further from its anchor, the anchor is renewed
 
 
@@ -120,13 +121,14 @@ def _quieter(found: Fit, most_histories: int) -> Fit:
     noisiest: dict[str, float] = {}
     for image, share in zip(found.problem.images, noise_shares(found.whitening), strict=True):
         noisiest[image.sample.id] = max(share, noisiest.get(image.sample.id, 0.0))
+    now = {sample: anchor.histories_of(sample) for sample in noisiest}
     wanted = {
-        sample: int(np.clip(histories_for(WANTED_NOISE, anchor.histories, share), anchor.histories, most_histories))
-        for sample, share in noisiest.items()
+        sample: max(had, min(histories_for(WANTED_NOISE, had, noisiest[sample]), most_histories))
+        for sample, had in now.items()
     }
-    most = max(wanted.values())
-    if most <= anchor.histories:
+    if all(wanted[sample] < WORTH_MORE * had for sample, had in now.items()):
         return found
+    most = max(wanted.values())
     moved = replace(
         anchor, model=found.model, poses=tuple(found.poses.values()), histories=most,
         enough=tuple((sample, histories) for sample, histories in wanted.items() if histories < most),

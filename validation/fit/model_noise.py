@@ -75,7 +75,8 @@ def told_variance(white: Whitening) -> Real:
 
 
 def noise_shares(white: Whitening) -> list[float]:
-    """Rms over the used pixels of each image of the same; 0 for one without any."""
+    """Rms over the used pixels of each image of the same, 0 for one without any; what a camera's pattern ties to
+    others has a part of theirs."""
     parts = np.split(told_variance(white), np.cumsum([int(used.sum()) for used in white.used])[:-1])
     return [float(np.sqrt(part.mean())) if part.size else 0.0 for part in parts]
 

@@ -23,6 +23,7 @@ from tests.validation.analytic import ARRAY, MODEL, PATHS, SINGLE, Spots, blank
 from validation.diagnose.columns import FitSight, candidates_of
 from validation.diagnose.diagnosis import Diagnosis, Means, diagnosed
 from validation.diagnose.ground import Ground
+from validation.diagnose.next_measurement import Proposal
 from validation.diagnose.score import Candidate
 from validation.fit import Fit, fit
 from validation.measured import MeasuredImage
@@ -46,6 +47,8 @@ def spec(name: str, *more: EffectParameter, square: bool = False) -> EffectSpec:
 LENGTH = EffectParameter(
     name="length_um", description="of a stripe", unit="um", lower=50.0, upper=900.0, shape_grid=(200.0, 300.0, 450.0)
 )
+ANOTHER = Proposal("another", THIRD, 1.0, 9.0, 2.0)
+"""What is always proposed where rivals cannot be told apart."""
 CATALOGUE = (spec("ripple"), spec("ripple_like"), spec("fog", square=True), spec("stripes", LENGTH))
 
 
@@ -144,5 +147,5 @@ def diagnosis(
         sight = FitSight.of(at, predictor)  # type: ignore[arg-type]  # it predicts as a predictor does
         return candidates_of(at, effects, sight)
 
-    means = Means(signatures, signatures, ground_of, lambda *_: "Take one image: another.")
+    means = Means(signatures, signatures, ground_of, lambda *_: [ANOTHER])
     return diagnosed(ground_of(base), known, means)

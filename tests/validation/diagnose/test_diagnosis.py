@@ -12,8 +12,8 @@ from scipy.stats import multivariate_normal
 
 from luxloop.effect import AppliedEffect, EffectParameter
 from luxloop.model import Fit as Limits
-from tests.validation.analytic import HALO, MODEL, PATHS, Spots
-from tests.validation.diagnose.made_up import CATALOGUE, Affected, data, diagnosis, ground_of, spec
+from tests.validation.analytic import ARRAY, HALO, MODEL, PATHS, Spots
+from tests.validation.diagnose.made_up import ANOTHER, CATALOGUE, GAIN, Affected, data, diagnosis, ground_of, spec
 from validation.contrasts.structure import fit_projection
 from validation.diagnose.columns import FitSight, candidates_of
 from validation.diagnose.diagnosis import Diagnosis, Step, beyond_limits, trusted
@@ -47,14 +47,26 @@ def test_nothing_hidden_is_nothing_visible() -> None:
 
 
 def test_what_noise_of_monte_carlo_hides_is_said_with_the_histories_that_show_it() -> None:
-    """Twice the noise that is wanted asks for four times as many; where it is small, or there is none, nothing."""
-    found = fit(MODEL, data(None, 1), Spots(), anchor_at=lambda model: Anchored(model, 1_000_000))
-    assert more_in_words(found) == ""
-    noisy = replace(found, noise_share=0.6)
-    assert "0.60 of the camera's" in more_in_words(noisy)
-    assert "--most-histories 4000000 " in more_in_words(noisy)
-    alone = fit(MODEL, data(None, 1), Spots())
-    assert more_in_words(replace(alone, noise_share=0.6)) == ""
+    """As the noisiest sample asks for, counted from its own; what a command takes at most; where it is little more
+    than there are, or there is no Monte Carlo, nothing."""
+
+    def words(share: float, most: int = 0) -> str:
+        images = data(None, 1)
+        light = {one.sample.id: np.sqrt(one.variance_dn2(one.signal_dn))[None] / GAIN for one in images}
+        noise = {name: (share if name == ARRAY.id else 0.1) * one for name, one in light.items()}
+        here = fit(
+            MODEL, images, Spots(noise), anchor_at=lambda model: Anchored(model, 1_000_000), most_histories=most
+        )
+        return more_in_words(here)
+
+    assert words(0.2) == ""
+    assert words(0.6).endswith("--most-histories 4100000 would show smaller ones.")
+    assert words(0.6, 2_000_000).endswith(
+        "--most-histories 8200000 would show smaller ones."
+    )  # it falls only on paper
+    assert words(0.31) == ""
+    assert words(30.0).endswith("--most-histories 1000000000 would show smaller ones.")
+    assert more_in_words(fit(MODEL, data(None, 1), Spots())) == ""
 
 
 def test_what_is_above_its_limit_is_seen() -> None:
@@ -145,13 +157,42 @@ def test_what_explains_a_part_and_leaves_the_rest_is_none_of_the_known() -> None
     verdict = Diagnosis((part,), 6).verdict
     assert verdict.word == "none_of_the_known"
     assert verdict.sentence.startswith("None of the 6 known effects explains this (best: 57 %). What is left: ")
-    told = document(Diagnosis((part,), 6), [], 1)
+    told = document(Diagnosis((part,), 6), 1)
     assert (told["verdict"], told["set"], told["added"][0]["share_error"]) == ("none_of_the_known", [], 0.05)
     again = verdict_of(told, [explanation_of(row) for row in told["effects"]])
     assert again is not None
     assert (again.word, again.set) == ("none_of_the_known", ())
-    for stands in ((part, rest), (leaving(1e-4, 0.9),), (leaving(1e-4, 0.57, 0.2),), (leaving(0.3, 0.57),)):
+    group = replace(part, refits=tuple(replace(one, fit=None) for one in part.refits))  # nothing can follow it
+    for stands in ((part, rest), (leaving(1e-4, 0.9),), (leaving(1e-4, 0.57, 0.2),), (leaving(0.3, 0.57),), (group,)):
         assert Diagnosis(stands, 6).verdict.word == step.verdict.word
+        told = document(Diagnosis(stands, 6), 1)
+        again = verdict_of(told, [explanation_of(row) for row in told["effects"]])
+        assert again is not None
+        assert again.word == told["verdict"]
+
+
+def test_a_fit_in_doubt_is_not_called_unknown_and_names_nobody() -> None:
+    """The one effect that was kept is distrusted, and leaves structure: the fit is doubted, by a replay too."""
+    (step, *_) = diagnosis(data("stripes", 2, 0.05, 300.0)).steps
+    doubtful = (
+        replace(one, p_left=1e-4, share=Share(0.57, 0.05), distrust=("a limit",)) for one in step.explanations
+    )
+    found = Diagnosis((replace(step, explanations=tuple(doubtful), proposals=(ANOTHER,)),), 6)
+    assert (found.verdict.word, found.set, found.proposals) == ("fit_not_trustworthy", (), ())
+    told = document(found, 1)
+    again = verdict_of(told, [explanation_of(row) for row in told["effects"]])
+    assert again is not None
+    assert (again.word, again.set, told["set"], told["candidates"]) == ("fit_not_trustworthy", (), [], [])
+
+
+def test_what_a_dropped_round_would_have_asked_for_is_not_told() -> None:
+    """Only a round that is kept, and could not tell effects apart, asks for an image."""
+    (step, *_) = diagnosis(data("stripes", 2, 0.05, 300.0)).steps
+    asking = replace(step, verdict=replace(step.verdict, word="cannot_tell_apart"), proposals=(ANOTHER,))
+    named = replace(step, verdict=replace(step.verdict, word="one_effect"), proposals=())
+    assert Diagnosis((named,), 6).proposals == ()
+    assert Diagnosis((named, asking), 6).proposals == (ANOTHER,)
+    assert Diagnosis((asking, named), 6).proposals == (ANOTHER,)
 
 
 def test_an_effect_of_the_model_is_not_tried_again() -> None:
@@ -195,7 +236,7 @@ def test_other_pixels_are_not_compared() -> None:
 def test_a_document_has_no_infinities() -> None:
     """Strict JSON of every kind of verdict, also where an error is not known."""
     for found in (diagnosis(data(None, 1)), diagnosis(data("stripes", 2, 0.05, 300.0))):
-        told = document(found, (), 1)
+        told = document(found, 1)
         assert json.loads(json.dumps(told, allow_nan=False)) == told
     best = replace(found.added[0], share=Share(0.0, np.inf), error=np.inf)
     row = effect_document(found.steps[0], best)
@@ -210,7 +251,8 @@ def test_two_that_are_alike_are_not_told_apart() -> None:
     assert found.verdict.word == "cannot_tell_apart"
     assert set(found.verdict.set) == {"ripple", "ripple_like"}
     assert found.verdict.sentence.startswith("The data cannot tell apart ripple")
-    assert found.verdict.sentence.endswith("Take one image: another.")
+    assert found.verdict.sentence.endswith("Take one image: another: expected separation 9 sigma (now 2.0).")
+    assert found.proposals == (ANOTHER,)
 
 
 def test_what_nobody_knows_is_not_blamed_on_anybody() -> None:
