@@ -21,11 +21,13 @@ BEFORE, AFTER = "D 180, W 44, S 340, T 40 um, 6.5 pairs", "D 140, W 26, S 320, T
 DESIGNS = {BEFORE: "180,44,340,40,6.5", AFTER: "140,26,320,50,8"}
 """Winners of the tutorial's campaigns, as it prints them and as `simulate` takes them."""
 FOUND = {
-    "environment.chip_absorption_per_cm": (211.4, 12.0),
-    "environment.substrate.reflectance": (0.9719, 0.0099),
-    "environment.receiver.reflectance": (0.3438, 0.0072),
+    "environment.chip_absorption_per_cm": (208.2, 8.9),
+    "environment.substrate.reflectance": (0.9695, 0.0097),
+    "environment.receiver.reflectance": (0.3427, 0.0071),
 }
-"""Values and errors that the tutorial prints after `add`."""
+"""Values and errors that the tutorial prints after `add`. Another way there (two effects to choose from) ends about
+another Monte Carlo, and so within an error of it: an anchor moved by 0.4 of one moves a fit by up to 0.6
+(decision 27)."""
 
 
 @pytest.mark.slow
@@ -73,12 +75,12 @@ def test_the_mirrors_layers_are_named_and_the_best_design_moves(settings: Settin
     shown = {one["path"]: one["with"] for one in found["parameters"]}
     for path, (value, error) in FOUND.items():
         assert f"{path} {value:g} +- {error:g}" in tutorial.replace(" 1/cm", "")
-        assert abs(shown[path] - value) < 0.3 * error
+        assert abs(shown[path] - value) < error
     shutil.copy(tmp_path / "mine.toml", tmp_path / "before.toml")
     added = told(settings, tmp_path, "add", "dbr_layer_order", *model, *how)
     for row in added["fitted"]:
         value, error = FOUND[row["path"]]
-        assert abs(row["value"] - value) < 0.3 * error
+        assert abs(row["value"] - value) < error
     assert added["before"]["held_out_percent"] > 1.4 * added["after"]["held_out_percent"]
     assert added["after"]["held_out_percent"] < 1.02 * added["after"]["noise_percent"]
     fits = told(settings, tmp_path, "compare", str(SEALED / "sets" / "set-1"), *model, *how)
