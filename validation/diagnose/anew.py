@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from validation.diagnose.frozen import frozen_at
-from validation.fit import Fit, refitted
+from validation.fit import Fit, prior_chi2, refitted
 from validation.fit.image_fit import ANCHOR_MOVE, MAX_ANCHORS, TWIN_STEPS, moved
 from validation.fit.problem import Problem
 from validation.fit.start import start_values
@@ -29,6 +29,9 @@ ON_THE_WAY = 4_000_000
 
 STEPS = 12
 """Of a fit with frozen derivatives: what explains little never converges."""
+
+OF_NOISE, OF_TWO_RUNS = 10.0, 30.0
+"""Of chi2: two fits of one model about two Monte Carlo runs of a million histories differ by as much; at most."""
 
 
 def has_other_light(problem: Problem, values: Real) -> bool:
@@ -81,10 +84,11 @@ def by_twin(problem: Problem, start: Mapping[str, float]) -> Fit:
     return refitted(lent, start_values(lent, start), TWIN_STEPS)
 
 
-def about_its_own(problem: Problem, found: Fit) -> Fit:
+def about_its_own(problem: Problem, found: Fit, beside: float = np.inf) -> Fit:
     """The fit about Monte Carlo at what a fit has found, and anew where that moves it.
 
-    By a few histories until it stays, and once by as many as the problem's anchor has, where those are more.
+    By a few histories until it stays, and once by as many as the problem's anchor has, where those are more and chi2
+    is not above that of what it stands `beside`: more histories tell less noise, and what is wrong costs more then.
     Derivatives are taken once with each anchor: those of effects are a walk for each moved chip.
     """
     anchor = problem.anchor
@@ -95,7 +99,9 @@ def about_its_own(problem: Problem, found: Fit) -> Fit:
         before, found = found, _about(problem, found, replace(anchor, histories=few))
         if found.converged and moved(found, before, problem.unknowns.model_paths) <= ANCHOR_MOVE:
             break
-    return thawed(found if few == anchor.histories else _about(problem, found, anchor), problem)
+    if few < anchor.histories and total_chi2(found) < beside + OF_TWO_RUNS:
+        found = _about(problem, found, anchor)
+    return thawed(found, problem)
 
 
 def _about(problem: Problem, found: Fit, anchor: Anchored) -> Fit:
@@ -118,6 +124,11 @@ def fitted_anew(problem: Problem, start: Mapping[str, float]) -> Fit | None:
 def has_monte_carlo(problem: Problem) -> bool:
     """Whether its anchor is one."""
     return problem.anchor is not None and problem.anchor.histories > 0
+
+
+def total_chi2(fit: Fit) -> float:
+    """Of data and priors."""
+    return fit.chi2 + prior_chi2(fit.problem.unknowns.parameters, fit.values)
 
 
 def thawed(found: Fit, problem: Problem) -> Fit:

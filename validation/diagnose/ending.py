@@ -10,17 +10,21 @@ from numpy.typing import NDArray
 
 from luxloop.model import Fit as Limits
 from validation.diagnose.anew import (
+    OF_NOISE,
     ON_THE_WAY,
     STEPS,
     about_its_own,
+    by_twin,
     fitted_anew,
+    has_monte_carlo,
     has_other_light,
     has_strayed,
     start_of,
     thawed,
+    total_chi2,
 )
 from validation.diagnose.frozen import FrozenImages, frozen_at, without
-from validation.diagnose.refit import Refitted, Words, added, limits_of, path_of, posed, total_chi2, with_fit
+from validation.diagnose.refit import Refitted, Words, added, limits_of, path_of, posed, with_fit
 from validation.effects.agreed import agreed
 from validation.effects.known import CHIP, applied, is_smooth, with_effect
 from validation.fit import Fit, refitted
@@ -103,7 +107,10 @@ def is_stuck(found: Refitted, base: Fit) -> bool:
 
 
 def unstuck(found: Refitted, base: Fit) -> Refitted:
-    """The same from where the model began, not from where it went to make up for the effect, if that fits better."""
+    """The same from where the model began, not from where it went to make up for the effect, if that fits better.
+
+    By the twin first, from there and from where it is: Monte Carlo is asked only where that begins to fit better.
+    """
     fit = found.fit
     if fit is None:
         return found
@@ -111,8 +118,14 @@ def unstuck(found: Refitted, base: Fit) -> Refitted:
     problem = replace(
         fit.problem, model=model, predictor=base.problem.predictor, predict_curves=base.problem.predict_curves
     )
-    anew = fitted_anew(problem, start_of(problem, problem.unknowns.named(fit.values)))
-    return found if anew is None or total_chi2(anew) >= found.chi2 else with_fit(found, anew)
+    if not has_monte_carlo(problem):
+        return found
+    ended = problem.unknowns.named(fit.values)
+    begun, stays = by_twin(problem, start_of(problem, ended)), by_twin(problem, ended)
+    if total_chi2(begun) > total_chi2(stays) + OF_NOISE:
+        return found
+    anew = about_its_own(problem, begun, found.chi2)
+    return found if total_chi2(anew) >= found.chi2 else with_fit(found, anew)
 
 
 def _best_words(found: Refitted, problem: Problem, own: Fit) -> tuple[Fit, tuple[Words, ...]]:

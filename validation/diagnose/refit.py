@@ -18,6 +18,7 @@ from luxloop.effect import EffectParameter, Value
 from luxloop.model import Fit as Limits
 from luxloop.model import Model
 from validation.diagnose.anew import (
+    OF_NOISE,
     STEPS,
     about_its_own,
     by_twin,
@@ -25,6 +26,7 @@ from validation.diagnose.anew import (
     has_other_light,
     is_scale,
     start_of,
+    total_chi2,
 )
 from validation.diagnose.evidence import logs_of_spreads
 from validation.diagnose.frozen import FrozenCurves, FrozenImages, Slopes, frozen_at
@@ -44,9 +46,6 @@ LEAST_SHARE = 1e-3
 """Of its range: where a parameter starts whose image goes with its square, at whose off nothing has a slope."""
 
 MOST_HALVINGS = 4
-
-OF_NOISE = 10.0
-"""Of chi2: two fits of one model about two Monte Carlo runs of a million histories differ by as much."""
 
 Words = tuple[str, ...]
 
@@ -176,7 +175,7 @@ def switched(base: Fit, candidate: Candidate) -> Refitted:
     if has_monte_carlo(problem) and not settled:
         own = by_twin(begun, start_of(begun, ended))
         if total_chi2(own) < total_chi2(without_by_twin(base)) - OF_NOISE:
-            own = about_its_own(begun, own)
+            own = about_its_own(begun, own, total_chi2(found))
             found = own if total_chi2(own) < total_chi2(found) - OF_NOISE else found
     return Refitted(candidate, 1.0, 0.0, found.residual, total_chi2(found), False, found.model, found)
 
@@ -252,7 +251,3 @@ def posed(problem: Problem, model: Model, paths: Sequence[str], start: dict[str,
     films = [one for one in known.parameters if one.name in known.other_paths]
     unknowns = unknowns_of(model, paths, problem.images, problem.curves, films, problem.discrepancies)
     return replace(problem, model=model, unknowns=unknowns), np.array([start[name] for name in unknowns.names])
-
-
-def total_chi2(fit: Fit) -> float:
-    return fit.chi2 + prior_chi2(fit.problem.unknowns.parameters, fit.values)

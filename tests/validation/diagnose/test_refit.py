@@ -18,6 +18,7 @@ from luxloop.model import Model
 from tests.validation.analytic import ARRAY, HALO, MODEL, PATHS, SIGMA, SINGLE, Spots, blank
 from tests.validation.diagnose.made_up import GAIN, THIRD, Affected, seen, spec
 from validation.dataset.manifest import Sample
+from validation.diagnose import ending
 from validation.diagnose.anew import ON_THE_WAY, about_its_own, fitted_anew, has_other_light, has_strayed
 from validation.diagnose.ending import beside, finished, is_stuck, unstuck
 from validation.diagnose.frozen import FrozenImages, frozen_at, slopes_of, without
@@ -194,6 +195,10 @@ def test_a_fit_about_its_own_monte_carlo_has_many_histories_at_last(base: Fit) -
         asked = [at.histories for at in predictor.anchors if at is not None and at.histories]
         assert set(asked) == expected
         assert asked == sorted(asked)
+        worse, predictor = 0.0, Anchors()  # than what it stands beside: a few histories say so
+        found = about_its_own(replace(problem, predictor=predictor), base, worse)
+        asked = [at.histories for at in predictor.anchors if at is not None and at.histories]
+        assert set(asked) == {min(histories, ON_THE_WAY)}
 
 
 def test_an_effect_with_walks_of_its_own_is_fitted_as_one_that_the_twin_does_not_know(
@@ -405,6 +410,18 @@ def test_a_refit_at_a_limit_is_made_anew_from_where_the_model_began(base: Fit) -
     assert back.chi2 == pytest.approx(found.chi2, abs=3.0)  # another anchor, other noise
     assert back.value == pytest.approx(found.value, rel=0.05)  # frozen derivatives against its own
     assert unstuck(replace(at_limit, chi2=0.0), anchored).chi2 == 0.0
+
+
+def test_monte_carlo_is_not_asked_where_the_twin_begins_worse(base: Fit, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a short list most fits that are stuck are no better anew: each cost minutes of Monte Carlo."""
+    found = freed(base, score_of(base), slopes_of(base))
+    assert found.fit is not None
+    at_limit = replace(found, fit=replace(found.fit, at_limit=(HALO,)))
+    predictor, chi2 = Anchors(), iter((120.0, 100.0))
+    anchored = replace(base, problem=replace(base.problem, predictor=predictor))
+    monkeypatch.setattr(ending, "by_twin", lambda *_: replace(base, chi2=next(chi2)))
+    assert unstuck(at_limit, anchored) is at_limit
+    assert not [at for at in predictor.anchors if at is not None and at.histories]
 
 
 class Turned(Spots):
