@@ -63,10 +63,10 @@ class Told(Predictor):
         found = super().images(model, views, paths, anchor)
         if anchor is None or not anchor.histories:
             return found
-        times = (1.0 + anchor.histories / self._truth) ** 0.5
+        times = [(1.0 + anchor.histories_of(view.sample.id) / self._truth) ** 0.5 for view in views]
         return [
-            replace(one, noise_per_mm2=None if one.noise_per_mm2 is None else times * one.noise_per_mm2)
-            for one in found
+            replace(one, noise_per_mm2=None if one.noise_per_mm2 is None else by * one.noise_per_mm2)
+            for one, by in zip(found, times, strict=True)
         ]
 
 
@@ -120,12 +120,12 @@ def observed_of(case: Case, client: Client, histories: int, seed: int, heard: Ca
         return Observed.of(read_dataset(Path(folder)))
 
 
-def diagnosed(case: Case, observed: Observed, client: Client, truth: int, anchor: int, seed: int) -> Diagnosis:
+def diagnosed(case: Case, observed: Observed, client: Client, asked: argparse.Namespace) -> Diagnosis:
     """What the product says."""
+    solver = Solver.of_diagnosis(asked.anchor or None, asked.seed + 2000, asked.most)
     engine = Diagnosing(
-        case.model, observed, Told(client, truth), Known.ask(client), Solver(anchor or None, seed + 2000),
-        tuple(free_paths(case.model)),
-    )  # fmt: skip
+        case.model, observed, Told(client, asked.truth), Known.ask(client), solver, tuple(free_paths(case.model))
+    )
     return engine.diagnosed()
 
 
@@ -137,6 +137,7 @@ def main() -> None:
     parser.add_argument(
         "--anchor", type=int, default=8_000_000, help="histories a sample of the anchor; 0: twin alone"
     )
+    parser.add_argument("--most", type=int, help="of the last anchor, at most; default: 8 times; 0: no more")
     parser.add_argument("--seed", type=int, default=1)
     asked = parser.parse_args()
     chosen = [one for one in cases() if not asked.only or any(word in one.name for word in asked.only)]
@@ -145,7 +146,7 @@ def main() -> None:
             start = time.monotonic()
             observed = observed_of(case, client, asked.truth, asked.seed, lambda *_: None)
             made = time.monotonic()
-            tell(case, diagnosed(case, observed, client, asked.truth, asked.anchor, asked.seed))
+            tell(case, diagnosed(case, observed, client, asked))
             print(
                 f"  {made - start:.0f} s for the data, {time.monotonic() - made:.0f} s for the diagnosis\n",
                 flush=True,
