@@ -150,6 +150,7 @@ def lets_anybody_in(settings: Settings, identity: Identity) -> bool:
 def _shake_hands(settings: Settings, context: ssl.SSLContext, verdict_s: float) -> bool:
     """Whether after the handshake, and `verdict_s` more, the other side still listens. Raises what is raised."""
     address = host_and_port(settings.router)
+    context.sslsocket_class = _Closing
     with (
         socket.create_connection(address, HANDSHAKE_S) as plain,
         context.wrap_socket(plain, server_hostname=address[0]) as tls,
@@ -161,6 +162,13 @@ def _shake_hands(settings: Settings, context: ssl.SSLContext, verdict_s: float) 
             except TimeoutError:
                 pass
         return True
+
+
+class _Closing(ssl.SSLSocket):
+    """Closes itself: `wrap_socket` leaves one behind where the other side was killed before the handshake."""
+
+    def __del__(self) -> None:
+        self.close()
 
 
 def _unexpected_tls(settings: Settings) -> Failure | None:
