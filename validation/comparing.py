@@ -19,6 +19,7 @@ from luxloop.model import Model
 from validation.contrasts import Region, Structure, structure
 from validation.curve_profiles import curve_regions, fourier
 from validation.fit import CurveData, CurvesOf, Fit, fit
+from validation.fit.result import MOST_HISTORIES
 from validation.measured import MeasuredFarField, MeasuredImage, MeasuredSpectrum
 from validation.observed import Observed
 from validation.prediction import Anchored, Curve, FarView, PredictedCurve, Predictor
@@ -56,7 +57,7 @@ class Solver:
     @classmethod
     def of_diagnosis(cls, histories: int | None, seed: int, most_histories: int | None) -> Solver:
         """That of commands that name effects; None: the twin alone, and `MANY` times as many at last."""
-        most = MANY * (histories or 0) if most_histories is None else most_histories
+        most = min(MANY * (histories or 0), MOST_HISTORIES) if most_histories is None else most_histories
         return cls(histories, seed, most)
 
     @property

@@ -23,11 +23,9 @@ from validation.diagnose.ladder import BEFORE, Rung
 from validation.diagnose.verdict import (
     Explanation,
     Verdict,
+    concluded,
     decided,
-    doubted,
     is_visible,
-    leaves_too_much,
-    none_of_the_known,
 )
 from validation.model_versions import versions
 from validation.sample_values import members
@@ -57,14 +55,12 @@ def verdict_of(document: Document, tried: Sequence[Explanation]) -> Verdict | No
     if not tried or not is_visible(document["structure"]["p"], document["scores_p"]):
         return None
     found = decided(tried, document["known"], lambda: "", lambda _: "")
-    named = [one for one in tried if one.name in found.set[:1]]
-    if named and named[0].distrust and len(document["added"]) == 1:
-        return doubted(named[0])
-    kept = [row for row in document["added"] if "share_error" in row]  # told since decision 44
-    shares = [Share(row["share"], _infinite(row["share_error"])) for row in kept]
-    if kept and kept[-1]["leads_on"] and leaves_too_much(kept[-1]["p_left"], shares):
-        return none_of_the_known(document["known"], shares[0].value, "")
-    return found
+    added = document["added"]
+    only = next((one for one in tried if one.name in found.set[:1]), None) if len(added) == 1 else None
+    leads_on = bool(added) and added[-1].get("leads_on", False)  # told since decision 44, as errors of shares are
+    shares = [Share(row["share"], _infinite(row["share_error"])) for row in added] if leads_on else []
+    p_left = added[-1]["p_left"] if added else 1.0
+    return concluded(found, only, shares, p_left, document["known"], lambda: "")
 
 
 def explanation_of(row: Document) -> Explanation:

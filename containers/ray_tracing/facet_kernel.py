@@ -96,7 +96,7 @@ def slope_at(u: float, cosine: float, sine: float) -> float:
 
 @borrowing_kernel
 def normal_quantile(u: float) -> float:
-    """Where the normal distribution reaches u, to 1e-15 of the value: algorithm AS 241, PPND16 (Wichura, Appl. Stat.
+    """Where the normal distribution reaches u, to 1e-14 of the value: algorithm AS 241, PPND16 (Wichura, Appl. Stat.
     37, 477, 1988); -inf and inf at 0 and 1."""
     q = u - 0.5
     if abs(q) <= 0.425:

@@ -184,4 +184,5 @@ def test_a_diagnosis_lets_the_last_anchor_have_eight_times_as_many_histories():
     assert Solver.of_diagnosis(4_000_000, 2, None) == Solver(4_000_000, 2, 32_000_000)
     assert Solver.of_diagnosis(4_000_000, 2, 0) == Solver(4_000_000, 2)
     assert Solver.of_diagnosis(None, 2, None) == Solver(None, 2)
+    assert Solver.of_diagnosis(200_000_000, 2, None).most_histories == 10**9  # that a request may ask for
     assert Solver.of_diagnosis(1_000, 2, 5_000).document()["most_histories"] == 5_000

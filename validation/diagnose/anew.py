@@ -31,7 +31,8 @@ STEPS = 12
 """Of a fit with frozen derivatives: what explains little never converges."""
 
 OF_NOISE, OF_TWO_RUNS = 10.0, 30.0
-"""Of chi2: two fits of one model about two Monte Carlo runs of a million histories differ by as much; at most."""
+"""Of chi2: two fits of one model about two Monte Carlo runs of a million histories differ by as much; what is allowed
+for where one of them has fewer histories than the other."""
 
 
 def has_other_light(problem: Problem, values: Real) -> bool:

@@ -26,11 +26,9 @@ from validation.diagnose.verdict import (
     LEVEL,
     Explanation,
     Verdict,
+    concluded,
     decided,
-    doubted,
     is_visible,
-    leaves_too_much,
-    none_of_the_known,
     not_trustworthy,
     nothing_visible,
 )
@@ -83,9 +81,9 @@ class Step:
         return next((one for one in self.refits if one.candidate.effect.name in self.verdict.set[:1]), None)
 
     @property
-    def leads_on(self) -> bool:
-        """Whether another effect can be looked for beside the one that is kept: there is no fit of a group."""
-        return self.kept is not None and self.kept.fit is not None
+    def leads_to(self) -> Fit | None:
+        """The fit beside which another effect can be looked for; None where nothing is kept, and of a group."""
+        return None if self.kept is None else self.kept.fit
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,16 +97,14 @@ class Diagnosis:
     @property
     def verdict(self) -> Verdict:
         """Of the first round; a second effect that was found besides is told after it."""
-        first = self.steps[0].verdict
-        if len(self.added) == 1 and self.added[0].distrust:
-            return doubted(self.added[0])
-        shares = [one.share for one in self.added]
-        if self.added and self.steps[-1].leads_on and leaves_too_much(self.added[-1].p_left, shares):
-            ground = self.steps[0].ground
-            return none_of_the_known(self.known, self.added[0].share.value, left_in_words(ground))
-        if len(self.added) < 2:
-            return first
-        further = ", ".join(f"{one.name} ({one.size})" for one in self.added[1:])
+        first, added, ground = self.steps[0].verdict, self.added, self.steps[0].ground
+        only = added[0] if len(added) == 1 else None
+        shares = [one.share for one in added] if self.steps[-1].leads_to is not None else []
+        p_left = added[-1].p_left if added else 1.0
+        found = concluded(first, only, shares, p_left, self.known, lambda: left_in_words(ground))
+        if len(added) < 2 or found is not first:
+            return found
+        further = ", ".join(f"{one.name} ({one.size})" for one in added[1:])
         return replace(first, sentence=f"{first.sentence} What it leaves is explained by {further}.")
 
     @property
@@ -137,11 +133,10 @@ def diagnosed(
         present = {one.name for one in ground.fit.model.effects}
         step = _step(ground, [one for one in effects if one.name not in present], means, seed, level)
         steps.append(step)
-        kept = step.kept
-        if not step.leads_on or step.best.p_left >= level / 2.0:
+        fit = step.leads_to
+        if fit is None or step.best.p_left >= level / 2.0:
             break
-        if kept is not None and kept.fit is not None:
-            ground = means.ground_of(kept.fit)
+        ground = means.ground_of(fit)
     return Diagnosis(tuple(trusted(steps)), len(effects))
 
 

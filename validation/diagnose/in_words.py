@@ -14,13 +14,11 @@ from validation.diagnose.verdict import LEVEL
 from validation.fit import Fit
 from validation.fit.image_fit import WORTH_MORE
 from validation.fit.model_noise import noise_shares
-from validation.fit.result import WANTED_NOISE, histories_for
+from validation.fit.result import MOST_HISTORIES, WANTED_NOISE, histories_for
 
 POWER = 0.9
 FEW = 3
 """Limits and regions that a sentence names; tables have them all."""
-MOST_HISTORIES = 10**9
-"""That a command takes."""
 
 
 def limits_in_words(scored: Scores, level: float) -> list[str]:

@@ -194,6 +194,29 @@ def leaves_too_much(p_left: float, shares: Sequence[Share], level: float = LEVEL
     return p_left < level / 2.0 and all(one.decides for one in shares) and 1.0 - left < ENOUGH
 
 
+def concluded(
+    first: Verdict,
+    only: Explanation | None,
+    shares: Sequence[Share],
+    p_left: float,
+    known: int,
+    left: Callable[[], str],
+) -> Verdict:
+    """The verdict once all rounds are over, from that of the first.
+
+    Parameters
+    ----------
+    only : the effect that was kept, where it is the only one. shares : of all that were kept, round by round; none
+    where no further round could be tried. p_left : of the structure that they leave.
+    known : effects that there are. left : what is left, in words.
+    """
+    if only is not None and only.distrust:
+        return doubted(only)
+    if shares and leaves_too_much(p_left, shares):
+        return none_of_the_known(known, shares[0].value, left())
+    return first
+
+
 def doubted(best: Explanation) -> Verdict:
     """The fit is in doubt even with the best effect."""
     return not_trustworthy([f"with {best.name} added, {reason}" for reason in best.distrust])

@@ -26,6 +26,7 @@ NO_STEP = "no good step is left by derivatives that are mostly noise of Monte Ca
 LEAST_GAP = 0.1
 """Of chi2: less to be gained is not why a fit stopped."""
 UNMENDED = "free less, or look for what the model lacks (luxloop where, luxloop diagnose)"
+MOST_HISTORIES = 10**9  # of a sample, that a request may ask for
 WANTED_NOISE = 0.3  # a tenth of the camera's variance: it then hardly adds to errors
 
 
