@@ -106,10 +106,8 @@ def diagnose(
     from validation.comparing import NULLS, Solver
 
     settings, index = load_settings(router=router), read_index(folder)
-    chosen, solver = (
-        chosen_model(folder, index, model),
-        Solver.of_diagnosis(None if twin else histories, seed, most_histories),
-    )
+    chosen = chosen_model(folder, index, model)
+    solver = Solver.of_diagnosis(None if twin else histories, seed, most_histories)
     verdicts: Counter[str] = Counter()
     with (
         alone(folder, "diagnose"),

@@ -43,7 +43,7 @@ def diagnosis(document: Document) -> Iterator[str]:
     if document["candidates"]:
         yield ""
         yield from next_measurement(document)
-    elif document["verdict"] in ("one_effect", "cannot_tell_apart") and document["set"]:
+    if document["set"] and (document["verdict"] == "one_effect" or not document["candidates"]):
         yield ""
         twin = " --twin" if document["solver"]["method"] == "twin" else ""
         yield f"luxloop add {document['set'][0]}{twin} puts it into {document['model']['file']}."

@@ -269,7 +269,9 @@ def test_a_fit_that_monte_carlo_noise_dominates_is_not_trusted():
         image = two_images()[0]
         noise = {"single": share * np.sqrt(image.variance_dn2(image.signal_dn))[None] / 700.0}
         found = fit(MODEL, two_images(), Spots(noise), anchor_at=lambda model: Anchored(model, 1000))
-        assert any("histories for each sample" in reason for reason in found.distrust) == words
+        needed = max(histories_for(WANTED_NOISE, 1000, one) for one in noise_shares(found.whitening))
+        told = f"about {needed:,} histories for each sample would do"
+        assert any(told in reason for reason in found.distrust) == words
         assert found.trusted != words
 
 

@@ -13,8 +13,7 @@ from validation.diagnose.score import Scores
 from validation.diagnose.verdict import LEVEL
 from validation.fit import Fit
 from validation.fit.image_fit import WORTH_MORE
-from validation.fit.model_noise import noise_shares
-from validation.fit.result import MOST_HISTORIES, WANTED_NOISE, histories_for
+from validation.fit.result import MOST_HISTORIES, wanted_histories
 
 POWER = 0.9
 FEW = 3
@@ -52,9 +51,7 @@ def more_in_words(fit: Fit) -> str:
     anchor = fit.problem.anchor
     if anchor is None or not anchor.histories:
         return ""
-    shares = zip(fit.problem.images, noise_shares(fit.whitening), strict=True)
-    needed = max(histories_for(WANTED_NOISE, anchor.histories_of(one.sample.id), share) for one, share in shares)
-    needed = min(needed, MOST_HISTORIES)
+    needed = min(max(wanted_histories(fit.problem, fit.whitening).values()), MOST_HISTORIES)
     if needed < WORTH_MORE * anchor.histories:
         return ""
     return (

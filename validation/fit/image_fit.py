@@ -20,10 +20,9 @@ from numpy.typing import NDArray
 from luxloop.errors import InputError
 from luxloop.model import Model
 from validation.fit.least_squares import Parameter, Reduced, Step, prior_chi2, reduce
-from validation.fit.model_noise import noise_shares
 from validation.fit.parameters import CurveData, Discrepancy, free_paths, gain_of, unknowns_of
 from validation.fit.problem import CurvePredictor, Evaluation, ImagePredictor, Problem, view_of
-from validation.fit.result import WANTED_NOISE, Fit, conclude, histories_for
+from validation.fit.result import Fit, conclude, wanted_histories
 from validation.fit.start import start_values
 from validation.fit.whitening import Whitening
 from validation.measured import MeasuredImage
@@ -118,14 +117,9 @@ def _quieter(found: Fit, most_histories: int) -> Fit:
     anchor = found.problem.anchor
     if anchor is None or not anchor.histories:
         return found
-    noisiest: dict[str, float] = {}
-    for image, share in zip(found.problem.images, noise_shares(found.whitening), strict=True):
-        noisiest[image.sample.id] = max(share, noisiest.get(image.sample.id, 0.0))
-    now = {sample: anchor.histories_of(sample) for sample in noisiest}
-    wanted = {
-        sample: max(had, min(histories_for(WANTED_NOISE, had, noisiest[sample]), most_histories))
-        for sample, had in now.items()
-    }
+    asked = wanted_histories(found.problem, found.whitening)
+    now = {sample: anchor.histories_of(sample) for sample in asked}
+    wanted = {sample: max(had, min(asked[sample], most_histories)) for sample, had in now.items()}
     if all(wanted[sample] < WORTH_MORE * had for sample, had in now.items()):
         return found
     most = max(wanted.values())

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from luxloop.model import Model
 from validation.fit.least_squares import WORST_CONDITION, Basis, Reduced, Step, basis
-from validation.fit.model_noise import noise_share
+from validation.fit.model_noise import noise_share, noise_shares
 from validation.fit.parameters import gain_of, pose_of
 from validation.fit.problem import Evaluation, Problem
 from validation.fit.whitening import Whitening, variance_scale
@@ -169,7 +169,7 @@ def conclude(
         at_limit=at_limit,
         distrust=(
             *_reasons(evaluation.problem, reduced, active, at_limit, gap, converged, freedom),
-            *_of_noise(evaluation.problem, share),
+            *_of_noise(evaluation.problem, white, share),
         ),
     )
 
@@ -181,11 +181,24 @@ def histories_for(share: float, histories: int, now: float) -> int:
     return int(np.ceil(needed / digit) * digit)
 
 
-def _of_noise(problem: Problem, share: float) -> list[str]:
+def wanted_histories(problem: Problem, white: Whitening) -> dict[str, int]:
+    """Histories that bring the noise of each sample, by its id, down to `WANTED_NOISE`; {} where there are none."""
+    anchor = problem.anchor
+    if anchor is None or not anchor.histories:
+        return {}
+    found: dict[str, int] = {}
+    for image, share in zip(problem.images, noise_shares(white), strict=True):
+        sample = image.sample.id
+        wanted = histories_for(WANTED_NOISE, anchor.histories_of(sample), share)
+        found[sample] = max(wanted, found.get(sample, 0))
+    return found
+
+
+def _of_noise(problem: Problem, white: Whitening, share: float) -> list[str]:
     """Why a fit about a noisy anchor may not be trusted."""
     if share <= MOST_MODEL_NOISE or problem.anchor is None:
         return []
-    needed = histories_for(WANTED_NOISE, problem.anchor.histories, share)
+    needed = max(wanted_histories(problem, white).values())
     return [
         f"the Monte Carlo's own noise is {share:.2f} of the camera's, above {MOST_MODEL_NOISE:g}: about"
         f" {needed:,} histories for each sample would do"

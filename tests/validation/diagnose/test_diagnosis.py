@@ -14,6 +14,7 @@ from luxloop.effect import AppliedEffect, EffectParameter
 from luxloop.model import Fit as Limits
 from tests.validation.analytic import ARRAY, HALO, MODEL, PATHS, Spots
 from tests.validation.diagnose.made_up import ANOTHER, CATALOGUE, GAIN, Affected, data, diagnosis, ground_of, spec
+from validation import told_diagnosis
 from validation.contrasts.structure import fit_projection
 from validation.diagnose.columns import FitSight, candidates_of
 from validation.diagnose.diagnosis import Diagnosis, Step, beyond_limits, trusted
@@ -193,6 +194,11 @@ def test_what_a_dropped_round_would_have_asked_for_is_not_told() -> None:
     assert Diagnosis((named,), 6).proposals == ()
     assert Diagnosis((named, asking), 6).proposals == (ANOTHER,)
     assert Diagnosis((asking, named), 6).proposals == (ANOTHER,)
+    facts = {"model": {"file": "model.toml"}, "solver": {"method": "anchored"}, "not_tested": []}
+    adding = "luxloop add stripes puts it into model.toml."
+    for steps, adds, asks in (((named,), 1, False), ((named, asking), 1, True), ((asking,), 0, True)):
+        lines = list(told_diagnosis.diagnosis(document(Diagnosis(steps, 6), 1) | facts))
+        assert (lines.count(adding), any(ANOTHER.words in line for line in lines)) == (adds, asks)
 
 
 def test_an_effect_of_the_model_is_not_tried_again() -> None:
