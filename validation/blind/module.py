@@ -35,7 +35,8 @@ from validation.blind.scenes import (
 )
 from validation.blind.words import Camera, Hidden, Pose, Real, Sample, Surroundings, within
 
-SETTLED = 1e-7
+SETTLED, SETTLING = 1e-7, 1e-4
+"""Of the brightest place: by which light with all its bounces may still move, at last and on the way there."""
 CHANGE = 2e-4
 """Of all light: below that the next pass of the bounces is the last."""
 MOST_PASSES = 8
@@ -223,11 +224,12 @@ class Tracer:
         reflectance = self._surroundings.receiver_reflectance
         inside = grid.inside(sample.module_half_um)
         transform = self._kernel(ground, body, grid)
-        change = np.zeros_like(first)
-        last = False
+        change, total = np.zeros_like(first), first
+        last = reflectance == 0.0
         for number in range(MOST_PASSES):
-            total = _settled(first + change, reflectance, inside, transform)
-            if last or reflectance == 0.0:
+            close = SETTLED if last else SETTLING
+            total = _settled(first + change, total[-1], close, reflectance, inside, transform)
+            if last:
                 break
             alone = sample.chips == 1 and not self._there.keys() & UNEVEN_GROUND
             count = self._histories // ((SINGLE if alone else FEWER) * (1 if number else 4))
@@ -262,15 +264,14 @@ class Tracer:
         return maps.smooth(found * flux, grid)
 
 
-def _settled(first: Real, reflectance: float, inside: Real, transform: Real) -> Real:
-    """First light with all its bounces on an even substrate (plane, y, x)."""
+def _settled(first: Real, source: Real, close: float, reflectance: float, inside: Real, transform: Real) -> Real:
+    """First light with all its bounces on an even substrate (plane, y, x); `source`: near what comes back of it."""
     if reflectance == 0.0:
         return first
-    source = first[-1]
     for _ in range(200):
         following = first[-1] + reflectance * maps.convolved(source * inside, transform[-1])
         moved = float(np.abs(following - source).max())
         source = following
-        if moved < SETTLED * float(source.max()):
+        if moved < close * float(source.max()):
             break
     return first + reflectance * maps.convolved(source * inside, transform)
