@@ -84,7 +84,7 @@ def fit(
     anchored_later = anchor_at is not None and bool(images)
     most = TWIN_STEPS if anchored_later else MAX_ITERATIONS
     found = _unclipped(problem, start_values(problem, start or {}), most=most)
-    for _ in range(MAX_ANCHORS if anchored_later else 0):
+    for further in reversed(range(MAX_ANCHORS if anchored_later else 0)):
         anchor = anchor_at(found.model) if anchor_at is not None else None
         if anchor is None:
             break
@@ -92,7 +92,12 @@ def fit(
         at_anchor, found = found, _unclipped(anchored, found.values, found.iterations)
         if found.converged and moved(found, at_anchor, paths) < ANCHOR_MOVE:
             break
-    return _quieter(found, most_histories)
+        if further == 1 and _quieter_anchor(found, most_histories) is not None:  # it is made where the fit is now
+            break
+    quieter = _quieter_anchor(found, most_histories)
+    if quieter is None:
+        return found
+    return _unclipped(replace(found.problem, anchor=quieter), found.values, found.iterations)
 
 
 def _lent(
@@ -112,22 +117,21 @@ def refitted(problem: Problem, values: Real, most: int = MAX_ITERATIONS) -> Fit:
     return _unclipped(problem, values, most=most)
 
 
-def _quieter(found: Fit, most_histories: int) -> Fit:
-    """The fit about its own anchor, with as many histories of each sample as its noise asks for."""
+def _quieter_anchor(found: Fit, most_histories: int) -> Anchored | None:
+    """An anchor where the fit is, of as many histories of each sample as its noise asks for; None: it has enough."""
     anchor = found.problem.anchor
     if anchor is None or not anchor.histories:
-        return found
+        return None
     asked = wanted_histories(found.problem, found.whitening)
     now = {sample: anchor.histories_of(sample) for sample in asked}
     wanted = {sample: max(had, min(asked[sample], most_histories)) for sample, had in now.items()}
     if all(wanted[sample] < WORTH_MORE * had for sample, had in now.items()):
-        return found
+        return None
     most = max(wanted.values())
-    moved = replace(
+    return replace(
         anchor, model=found.model, poses=tuple(found.poses.values()), histories=most,
         enough=tuple((sample, histories) for sample, histories in wanted.items() if histories < most),
     )  # fmt: skip
-    return _unclipped(replace(found.problem, anchor=moved), found.values, found.iterations)
 
 
 def _unclipped(problem: Problem, values: Real, done: int = 0, most: int = MAX_ITERATIONS) -> Fit:

@@ -27,7 +27,7 @@ from validation.effects.known import (
     with_effect,
 )
 from validation.effects.known import applied as applied_to
-from validation.effects.signatures import RUNS, Projection, Sight, projected, signature
+from validation.effects.signatures import ALONE, HISTORIES, RUNS, Projection, Sight, projected, signature
 from validation.fit.whitening import Whitening
 from validation.prediction import Predicted, View
 from validation.prediction.differences import Moved
@@ -134,6 +134,8 @@ def test_moved_models_are_asked_for_together_and_once_and_what_is_beyond_the_twi
     predictor.anchors.clear()
     signature(sight, Model(name="m"), spec_of(AMPLITUDE, twin=False))
     assert [anchor.histories > 0 and anchor.seed for anchor in predictor.anchors] == [1, 1, 2, 2]
+    assert {anchor.histories_of(SINGLE.id) for anchor in predictor.anchors} == {ALONE * HISTORIES}
+    assert {anchor.histories_of(ARRAY.id) for anchor in predictor.anchors} == {HISTORIES}
     assert [anchor.exit_seed for anchor in predictor.anchors] == [1, 1, 2, 2]
     assert {anchor.model.sha256 for anchor in predictor.anchors} == {
         with_effect(Model(name="m"), applied_to(spec_of(AMPLITUDE), {"a": a})).sha256 for a in (0.5, -0.5)
