@@ -156,11 +156,14 @@ class Diagnosing:
         """The fit of the model that has an effect besides: where each sample has its own of it, a value for each."""
         if is_by_sample(effect) and self.observed.of_modules and "modules" in effect.acts_on:
             self.scored(found, [effect])  # what these data cannot show is said first
-            return with_own_values(found, effect, self._apart)
+            return self._members_fit(found, effect)
         ended = self.refitted(found, effect).fit
         if ended is None:
             raise ValueError(f"{effect.name} is a group, and no sample has its own of it")
         return ended
+
+    def _members_fit(self, found: Fit, effect: EffectSpec) -> Fit:
+        return with_own_values(found, effect, self._apart)
 
     def _apart(self, found: Fit, effect: EffectSpec, shape: Mapping[str, Value]) -> list[Column]:
         """The columns of an effect at a fit, of each sample by themselves."""
@@ -183,7 +186,7 @@ class Diagnosing:
         effects = self.effects  # a misspelt name is said before anything is traced
         self.progress(0.0, "the fit without more effects")
         ground = self.ground(self.fitted(self.model))
-        means = Means(self.signatures, self.closely, self.ground, self.next_image, self.progress)
+        means = Means(self.signatures, self.closely, self._members_fit, self.ground, self.next_image, self.progress)
         return diagnosed(ground, effects, means, seed=self.solver.seed)
 
     def spec(self, name: str) -> EffectSpec:

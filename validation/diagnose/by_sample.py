@@ -24,7 +24,7 @@ from validation.diagnose.refit import LEAST_SHARE, drawn_back, limits_of, posed,
 from validation.effects.known import acting, applied, is_smooth, off_values, shapes_of, with_effect
 from validation.effects.signatures import Column, Projection
 from validation.fit import Fit, refitted
-from validation.fit.image_fit import ANCHOR_MOVE, MAX_ANCHORS
+from validation.fit.image_fit import ANCHOR_MOVE, MAX_ANCHORS, moved
 from validation.sample_values import Member, free_members, with_members, with_sample
 
 Real = NDArray[np.float64]
@@ -66,8 +66,7 @@ def with_own_values(base: Fit, spec: EffectSpec, columns_at: Columns) -> Fit:
     found = refitted(*posed(frozen, model, tuple(slopes), at | start))
     for _ in range(1 if is_smooth(spec) else MAX_ANCHORS):
         before, found = found, _settled(base, found, spec, own, columns_at)
-        moves = [abs(found.value(path) - before.value(path)) / found.error(path) for path in start]
-        if max(moves) <= ANCHOR_MOVE:
+        if moved(found, before, tuple(start)) <= ANCHOR_MOVE:
             break
     return found
 

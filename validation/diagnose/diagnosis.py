@@ -20,7 +20,7 @@ from validation.diagnose.in_words import left_in_words, limits_in_words, more_in
 from validation.diagnose.next_measurement import Proposal, next_in_words
 from validation.diagnose.refit import Refitted
 from validation.diagnose.score import Candidate, Projected, Scores, scores
-from validation.diagnose.tried import Progress, Tried, short_list
+from validation.diagnose.tried import MembersFit, Progress, Tried, short_list
 from validation.diagnose.verdict import (
     HALF,
     LEVEL,
@@ -50,6 +50,7 @@ class Means:
     """The whitened columns of effects at a fit: for each parameter with an off value, in each of its shapes."""
     closely: Callable[[Fit, Sequence[EffectSpec]], list[Candidate]]
     """The same of effects that only Monte Carlo shows, with less of its noise."""
+    members_fit: MembersFit
     ground_of: Callable[[Fit], Ground]
     """The structure of a further fit, with a null of its own."""
     next_image: Callable[[Fit, Sequence[Refitted]], list[Proposal]]
@@ -82,7 +83,7 @@ class Step:
 
     @property
     def leads_to(self) -> Fit | None:
-        """The fit beside which another effect can be looked for; None where nothing is kept, and of a group."""
+        """The fit beside which another effect can be looked for; None without one, or of a group by a line."""
         return None if self.kept is None else self.kept.fit
 
 
@@ -143,7 +144,8 @@ def diagnosed(
 def trusted(steps: Sequence[Step]) -> list[Step]:
     """The rounds without the last ones that name nothing, or nothing to be trusted: the ones before stand.
 
-    So does what leaves structure and explains less than half of what was there: as a second effect it is a guess.
+    So does what leaves structure and explains less than half of what was there, or is a group of many members: as a
+    second effect it is a guess.
     """
     found = list(steps)
     while len(found) > 1 and (found[-1].kept is None or found[-1].best.distrust or is_a_guess(found[-1].best)):
@@ -152,8 +154,8 @@ def trusted(steps: Sequence[Step]) -> list[Step]:
 
 
 def is_a_guess(best: Explanation, level: float = LEVEL) -> bool:
-    """Whether an effect explains less than half, and leaves structure."""
-    return best.share.value < HALF and best.p_left < level / 2.0
+    """Whether an effect explains less than half, or is a group, and leaves structure."""
+    return (best.share.value < HALF or best.has_members) and best.p_left < level / 2.0
 
 
 def _step(ground: Ground, effects: Sequence[EffectSpec], means: Means, seed: int, level: float) -> Step:
@@ -178,7 +180,7 @@ def _step(ground: Ground, effects: Sequence[EffectSpec], means: Means, seed: int
         return Step(ground, scored, alike, (), (), verdict)
     tried = Tried(ground, projected, best, short_list(scored, alike))
     tried.refit(means.progress)
-    tried.finish(means.progress)
+    tried.finish(means.progress, means.members_fit, level)
 
     proposals: list[Proposal] = []
 

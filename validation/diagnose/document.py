@@ -117,6 +117,7 @@ def effect_document(step: Step, one: Explanation) -> dict[str, Any]:
         "held_out_density_error": None if held is None else held.error,
         "log_evidence": one.log_evidence,
         "plausible": one.plausible,
+        "has_members": one.has_members,
         "distrust": list(one.distrust),
         "p_left": one.p_left,
         "sigma": one.sigma,

@@ -64,9 +64,9 @@ class Refitted:
     """Of data and priors; of an effect that the twin cannot represent its line's, about the base's own anchor."""
     at_limit: bool
     model: Model | None
-    """None for a group: its members are known one by one, not as one number."""
+    """None for a group as long as its members are no numbers of a model."""
     fit: Fit | None
-    """None for a group, whose members are reckoned on the linear model."""
+    """None for a group whose members are reckoned on the linear model."""
 
     as_well: tuple[Words, ...] = ()
     """Other words of its shape, with which it fits as well."""
@@ -231,6 +231,11 @@ def with_fit(found: Refitted, fit: Fit) -> Refitted:
         found, value=1.0 if switch else fit.value(path), error=0.0 if switch else fit.error(path),
         residual=fit.residual, chi2=total_chi2(fit), at_limit=path in fit.at_limit, model=fit.model, fit=fit,
     )  # fmt: skip
+
+
+def of_members(found: Refitted, fit: Fit) -> Refitted:
+    """A group's with the fit in which each member is a number of its own; spread, error and chi2 stay its line's."""
+    return replace(found, residual=fit.residual, model=fit.model, fit=fit)
 
 
 def with_slopes(

@@ -14,9 +14,9 @@ from validation.diagnose.ending import beside, finished, is_stuck, unstuck
 from validation.diagnose.evidence import group_log_evidence, log_evidence
 from validation.diagnose.frozen import slopes_of
 from validation.diagnose.ground import Ground
-from validation.diagnose.refit import Refitted, limits_of, refit
+from validation.diagnose.refit import Refitted, limits_of, of_members, refit
 from validation.diagnose.score import EffectScore, Projected, Scores
-from validation.diagnose.verdict import ALIKE, Explanation
+from validation.diagnose.verdict import ALIKE, LEVEL, Explanation
 from validation.effects.confounding import Confounding, left_beside
 from validation.effects.known import is_smooth
 from validation.fit import Fit
@@ -24,6 +24,8 @@ from validation.fit.whitening import held_scale
 
 Real = NDArray[np.float64]
 Progress = Callable[[float, str], None]
+MembersFit = Callable[[Fit, EffectSpec], Fit]
+"""The fit with an effect whose members are numbers of their own."""
 
 SHORT_LIST = 8
 MOST_ENDED = 4
@@ -58,8 +60,11 @@ class Tried:
                 progress(0.85, f"fitting {one.name}, from where the model began")
                 self._keep(number, unstuck(self.refits[number], fit))
 
-    def finish(self, progress: Progress) -> None:
-        """What would be named is fitted to its end, with its near rivals, about the Monte Carlo that it ends with."""
+    def finish(self, progress: Progress, members_fit: MembersFit, level: float = LEVEL) -> None:
+        """What would be named is fitted to its end, with its near rivals, about the Monte Carlo that it ends with.
+
+        A group, where it seems to leave structure: its members' line may be why, or another effect beside them.
+        """
         fit, ended = self.ground.fit, set[int]()
         while (likely := self._likeliest(ended)) is not None:
             progress(0.9, f"fitting {self.short[likely].name}")
@@ -68,6 +73,8 @@ class Tried:
             self.short[likely] = as_fitted(self.projected, self.short[likely], found)
             self.columns[self.short[likely].name] = self.projected.own(self.short[likely].best.candidate)
             self._keep(likely, found)
+            if found.candidate.is_group and self.explanations[likely].p_left < level / 2.0:
+                self._keep(likely, of_members(found, members_fit(fit, found.candidate.effect)))
             least = WORTH * self.explanations[likely].drop
             for number in self._about_the_first(likely):
                 if self.explanations[number].plausible and self.explanations[number].drop > least:
@@ -159,7 +166,8 @@ def _explanation(
         held_out_percent=percents,
         log_evidence=_log_evidence(ground, found, drop, columns[score.name]),
         plausible=not found.at_limit and drop > 0.0,
-        distrust=found.fit.distrust if found.fit is not None else base.distrust,
+        has_members=candidate.is_group,
+        distrust=base.distrust if found.fit is None else found.fit.distrust,
         p_left=ground.judged(found.residual).p,
         sigma=length,
         sigma_rival=beside,

@@ -4,7 +4,8 @@
     nothing_visible       neither structure nor any effect's score is unlikely, each at half the level
     none_of_the_known     the best effect explains less than half of the structure by an error (by two, where the
                           share is known to no better than 0.15), and structure is left; or all that was kept, round
-                          by round, explains less than 0.8, and structure is left
+                          by round, explains less than 0.8, and structure is left; or a group is all that was kept,
+                          and structure is left: with a number for each chip it takes most of anything
     cannot_tell_apart     a rival explains nearly as much, and less than 5 sigma would be left of the one beside it,
                           or the two fits are nearer to each other than that
     one_effect            else
@@ -64,6 +65,8 @@ class Explanation:
     log_evidence: float | None
     plausible: bool
     """Inside its range, not at an end of it."""
+    has_members: bool
+    """A group: a number for each chip."""
     distrust: tuple[str, ...]
     """Why the fit with it may not be trusted: a parameter that a missing effect drives to its limit stays there."""
     p_left: float
@@ -206,13 +209,15 @@ def concluded(
 
     Parameters
     ----------
-    only : the effect that was kept, where it is the only one. shares : of all that were kept, round by round; none
-    where no further round could be tried. p_left : of the structure that they leave.
+    only : the effect that was kept, where it is the only one; a group by the fit of all its members. shares : of all
+    that were kept, round by round; none where no further round could be tried. p_left : of the structure that they
+    leave.
     known : effects that there are. left : what is left, in words.
     """
-    if only is not None and only.distrust:
+    group_leaves = only is not None and only.has_members and p_left < LEVEL / 2.0
+    if only is not None and only.distrust and not group_leaves:
         return doubted(only)
-    if shares and leaves_too_much(p_left, shares):
+    if shares and (group_leaves or leaves_too_much(p_left, shares)):
         return none_of_the_known(known, shares[0].value, left())
     return first
 

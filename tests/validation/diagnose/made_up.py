@@ -4,27 +4,29 @@ ripple, ripple_like   1 + a cos(2 pi (x + 2 y) / 350 um), and nearly the same
 fog                   (1 - s^2) E + s^2 E blurred by 3 px: only s^2 has a slope
 stripes               1 + a cos(2 pi x / L): L shapes it
 lines                 1 + a cos(2 pi u / 300 um), u = x or y: a word shapes it
-chips                 1 + g exp(-d^2 / 2 (100 um)^2) about each of the first three chips of a module
+chips                 1 + (g + 3 g^2 cos(2 pi y / 150 um)) exp(-d^2 / 2 (100 um)^2) about each of three chips
 spiral                1 + a cos(3 phi): not in the catalogue, for what nobody knows
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from luxloop.effect import AppliedEffect, EffectParameter, EffectSpec
+from luxloop.effect import AppliedEffect, EffectParameter, EffectSpec, Value
 from luxloop.model import Model
 from tests.validation.analytic import ARRAY, MODEL, PATHS, SINGLE, Spots, blank
+from validation.diagnose.by_sample import with_own_values
 from validation.diagnose.columns import FitSight, candidates_of
 from validation.diagnose.diagnosis import Diagnosis, Means, diagnosed
 from validation.diagnose.ground import Ground
 from validation.diagnose.next_measurement import Proposal
 from validation.diagnose.score import Candidate
+from validation.effects.signatures import Column, signature
 from validation.fit import Fit, fit
 from validation.measured import MeasuredImage
 from validation.prediction import Anchored, Predicted, View
@@ -49,6 +51,12 @@ LENGTH = EffectParameter(
 )
 ANOTHER = Proposal("another", THIRD, 1.0, 9.0, 2.0)
 """What is always proposed where rivals cannot be told apart."""
+CHIPS = EffectSpec(
+    name="chips", stage="emission", description="gains", scope="per_sample",
+    parameters=(
+        EffectParameter(name="gain", description="of a chip", lower=-0.5, upper=0.5, off=0.0, per_chip=True),
+    ),
+)  # fmt: skip
 CATALOGUE = (spec("ripple"), spec("ripple_like"), spec("fog", square=True), spec("stripes", LENGTH))
 
 
@@ -87,7 +95,8 @@ def seen(model: Model, view: View, image: Real) -> Real:
     for effect in of_sample(model, view.sample.id).effects:
         if effect.name == "chips":
             for gain, centre in zip(effect.parameters["gain"], (-200.0, 0.0, 200.0), strict=False):  # type: ignore[arg-type]  # a list
-                image = image * (1.0 + gain * np.exp(-((x - centre) ** 2 + y**2) / 2e4))
+                bent = gain + 3.0 * gain**2 * np.cos(2.0 * np.pi * y / 150.0)
+                image = image * (1.0 + bent * np.exp(-((x - centre) ** 2 + y**2) / 2e4))
             continue
         size = float(effect.parameters["size"])  # type: ignore[arg-type]  # a number in this catalogue
         if effect.name == "fog":
@@ -131,6 +140,26 @@ def images_of(truth: Model, seed: int) -> list[MeasuredImage]:
     return images
 
 
+def hidden(effect: str, common: Mapping[str, Value], **samples: Mapping[str, Value]) -> Model:
+    """A truth in which samples have their own of an effect."""
+    return MODEL.model_copy(
+        update={
+            "effects": (AppliedEffect(name=effect, parameters=dict(common)),),
+            "samples": {name: {effect: dict(values)} for name, values in samples.items()},
+        }
+    )
+
+
+def columns_at(found: Fit, spec: EffectSpec, shape: Mapping[str, Value]) -> list[Column]:
+    """The columns of each sample, about a fit."""
+    return signature(FitSight.of(found, Affected()), found.model, spec, shape, apart=True)  # type: ignore[arg-type]  # duck
+
+
+def members_fit(found: Fit, spec: EffectSpec) -> Fit:
+    """The fit with a group."""
+    return with_own_values(found, spec, columns_at)
+
+
 def ground_of(found: Fit) -> Ground:
     """The structure of a fit."""
     return Ground.of(found, 2000, 1)
@@ -147,5 +176,5 @@ def diagnosis(
         sight = FitSight.of(at, predictor)  # type: ignore[arg-type]  # it predicts as a predictor does
         return candidates_of(at, effects, sight)
 
-    means = Means(signatures, signatures, ground_of, lambda *_: [ANOTHER])
+    means = Means(signatures, signatures, members_fit, ground_of, lambda *_: [ANOTHER])
     return diagnosed(ground_of(base), known, means)

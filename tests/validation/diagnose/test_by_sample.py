@@ -2,46 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import pytest
 
-from luxloop.effect import AppliedEffect, EffectParameter, EffectSpec, Value
+from luxloop.effect import EffectSpec
 from luxloop.errors import InputError
 from luxloop.model import Model
 from luxloop.model_file import parse_toml, to_toml
 from tests.validation.analytic import MODEL, PATHS
 from tests.validation.diagnose import made_up
+from tests.validation.diagnose.made_up import CHIPS, columns_at, hidden
 from validation.diagnose.by_sample import is_by_sample, with_members_free, with_own_values
-from validation.diagnose.columns import FitSight
 from validation.diagnose.held_out import folds_by_blocks, folds_by_sample, held_out
-from validation.effects.signatures import Column, signature
 from validation.fit import Fit, fit
 from validation.fit.parameters import free_paths
 from validation.sample_values import free_members, members, of_sample, refuse_strangers, with_members, without_samples
 
 TILTED = made_up.spec("ripple").model_copy(update={"scope": "per_sample"})
-GAIN = EffectParameter(name="gain", description="of a chip", lower=-0.5, upper=0.5, off=0.0, per_chip=True)
-CHIPS = EffectSpec(name="chips", stage="emission", description="gains", parameters=(GAIN,), scope="per_sample")
 SIZES = {"array": 0.06, "third": -0.04}
 GAINS = {"array": (0.1, -0.05, 0.02), "third": (-0.08, 0.03, 0.06)}
-
-
-def hidden(effect: str, common: Mapping[str, Value], **samples: Mapping[str, Value]) -> Model:
-    """A truth in which samples have their own of an effect."""
-    return MODEL.model_copy(
-        update={
-            "effects": (AppliedEffect(name=effect, parameters=dict(common)),),
-            "samples": {name: {effect: dict(values)} for name, values in samples.items()},
-        }
-    )
-
-
-def columns_at(found: Fit, spec: EffectSpec, shape: Mapping[str, Value]) -> list[Column]:
-    """The columns of each sample, about a fit."""
-    return signature(FitSight.of(found, made_up.Affected()), found.model, spec, shape, apart=True)  # type: ignore[arg-type]  # duck
 
 
 def added(truth: Model, spec: EffectSpec) -> tuple[Fit, Fit]:

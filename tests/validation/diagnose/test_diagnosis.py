@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,8 +13,23 @@ from scipy.stats import multivariate_normal
 
 from luxloop.effect import AppliedEffect, EffectParameter
 from luxloop.model import Fit as Limits
+from luxloop.model import Model
 from tests.validation.analytic import ARRAY, HALO, MODEL, PATHS, Spots
-from tests.validation.diagnose.made_up import ANOTHER, CATALOGUE, GAIN, Affected, data, diagnosis, ground_of, spec
+from tests.validation.diagnose import made_up
+from tests.validation.diagnose.made_up import (
+    ANOTHER,
+    CATALOGUE,
+    CHIPS,
+    GAIN,
+    Affected,
+    data,
+    diagnosis,
+    ground_of,
+    hidden,
+    images_of,
+    members_fit,
+    spec,
+)
 from validation import told_diagnosis
 from validation.contrasts.structure import fit_projection
 from validation.diagnose.columns import FitSight, candidates_of
@@ -29,7 +45,7 @@ from validation.diagnose.ladder import Rung
 from validation.diagnose.refit import refit
 from validation.diagnose.score import Projected, scores
 from validation.diagnose.verdict import LEVEL
-from validation.fit import NOT_CONVERGED, fit
+from validation.fit import NOT_CONVERGED, Fit, fit
 from validation.prediction import Anchored
 from validation.redeciding import explanation_of, verdict_of
 
@@ -170,6 +186,50 @@ def test_what_explains_a_part_and_leaves_the_rest_is_none_of_the_known() -> None
         again = verdict_of(told, [explanation_of(row) for row in told["effects"]])
         assert again is not None
         assert again.word == told["verdict"]
+
+
+def group_of(scale: float, *beside: AppliedEffect) -> Model:
+    """A truth whose chips have powers of their own, which light bends with, and what is beside them."""
+    gains = {"array": (0.3, -0.15, 0.06), "third": (-0.24, 0.09, 0.18)}
+    truth = hidden(
+        "chips", {"gain": ()}, **{name: {"gain": [scale * one for one in some]} for name, some in gains.items()}
+    )
+    return truth.model_copy(update={"effects": (*truth.effects, *beside)})
+
+
+@pytest.mark.parametrize(("scale", "fits"), [(0.1, 0), (0.5, 1), (0.8, 1)])
+def test_a_group_is_named_where_it_leaves_nothing(scale: float, fits: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By the line of its members, or, where that leaves structure, by the fit in which each has its own number;
+    there is none in doubt because a parameter went to its limit without it (0.8)."""
+    asked = []
+
+    def counted(*at: Any) -> Fit:
+        asked.append(at)
+        return members_fit(*at)
+
+    monkeypatch.setattr(made_up, "members_fit", counted)
+    found = diagnosis(images_of(group_of(scale), 3), known=(CHIPS, spec("ripple")))
+    assert (found.verdict.word, found.set[0], len(asked)) == ("one_effect", "chips", fits)
+    assert found.added[-1].p_left >= LEVEL / 2.0
+
+
+def test_what_a_group_leaves_is_looked_through() -> None:
+    """Powers and ripples: both are named. What nobody knows: chips take a part of it, and leave structure."""
+    known = CHIPS, spec("ripple")
+    found = diagnosis(
+        images_of(group_of(0.5, AppliedEffect(name="ripple", parameters={"size": 0.03})), 3), known=known
+    )
+    assert [one.name for one in found.added] == ["chips", "ripple"]
+    assert "What it leaves is explained by ripple" in found.verdict.sentence
+    found = diagnosis(
+        images_of(group_of(0.5, AppliedEffect(name="spiral", parameters={"size": 0.05})), 3), known=known
+    )
+    said = json.loads(json.dumps(document(found, 1)))
+    assert said["verdict"] == "none_of_the_known"
+    assert [row["leads_on"] for row in said["added"]] == [True]
+    again = verdict_of(said, [explanation_of(row) for row in said["effects"]])
+    assert again is not None
+    assert (again.word, again.set) == (said["verdict"], tuple(said["set"]))
 
 
 def test_a_fit_in_doubt_is_not_called_unknown_and_names_nobody() -> None:

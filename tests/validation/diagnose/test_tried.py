@@ -18,7 +18,13 @@ def one(name: str, drop: float, anchor: str, gap: float = 0.0) -> Any:
     """An effect's refit, as far as the order of ends asks for it."""
     spec = SimpleNamespace(name=name, twin=True, walks=False, parameters=())
     fit = SimpleNamespace(gap=gap, problem=SimpleNamespace(anchor=anchor))
-    return SimpleNamespace(name=name, drop=drop, plausible=True, fit=fit, candidate=SimpleNamespace(effect=spec))
+    candidate = SimpleNamespace(effect=spec, is_group=False)
+    return SimpleNamespace(name=name, drop=drop, plausible=True, fit=fit, candidate=candidate)
+
+
+def never(*_: Any) -> Any:
+    """There is no group."""
+    raise AssertionError
 
 
 @pytest.mark.parametrize(
@@ -54,7 +60,7 @@ def test_what_ended_about_the_first_monte_carlo_is_compared_about_its_rivals(
     refits = [one("truth", 100.0, FIRST), one("rival", 95.0, FIRST)]
     projected: Any = SimpleNamespace(own=lambda _: None)
     list_of = Tried(ground, projected, {}, short, refits, list[Any](refits))
-    list_of.finish(lambda *_: None)
+    list_of.finish(lambda *_: None, never)
     assert asked == ["rival beside truth", *again]
     assert [found.fit.problem.anchor for found in list_of.refits] == list(ends)
 
