@@ -105,12 +105,15 @@ def _of_shape(
     if not acting(spec):
         yield from _switches(fit, spec, shape, sight, projection)
         return
-    columns = sight.signature(fit.model, spec, shape)
+    columns, found = sight.signature(fit.model, spec, shape), list[Candidate]()
     for one in acting(spec):
         own = [column for column in columns if column.parameter == one.name]
         if own:
             parts = () if one.per_chip else own[0].parts
-            yield Candidate(spec, one, words, np.array([projection.rows(column) for column in own]), parts)
+            found.append(Candidate(spec, one, words, np.array([projection.rows(column) for column in own]), parts))
+    single = [each for each in found if not each.is_group]
+    for each in found:
+        yield replace(each, others=tuple(other for other in single if other is not each and not each.is_group))
 
 
 def _switches(

@@ -20,7 +20,7 @@ from validation.diagnose.in_words import left_in_words, limits_in_words, more_in
 from validation.diagnose.next_measurement import Proposal, next_in_words
 from validation.diagnose.refit import Refitted
 from validation.diagnose.score import Candidate, Projected, Scores, scores
-from validation.diagnose.tried import MembersFit, Progress, Tried, short_list
+from validation.diagnose.tried import MembersFit, Progress, Tried, columns_of, short_list
 from validation.diagnose.verdict import (
     HALF,
     LEVEL,
@@ -172,7 +172,7 @@ def _step(ground: Ground, effects: Sequence[EffectSpec], means: Means, seed: int
         closer = means.closely(fit, [one for one in effects if one.name in faint])
         candidates = [one for one in candidates if one.effect.name not in faint] + closer
         projected, scored = _scored(ground, candidates, seed)
-    best = {one.name: projected.own(one.best.candidate) for one in scored.effects}
+    best = {one.name: columns_of(fit, projected, one.best.candidate) for one in scored.effects}
     alike = confounding(best)
     if not visible:
         nothing = nothing_visible(limits_in_words(scored, level), more_in_words(fit))

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
 from luxloop.model import Fit as Limits
+from luxloop.model import Model
 from validation.diagnose.anew import (
     OF_NOISE,
     ON_THE_WAY,
@@ -28,10 +31,10 @@ from validation.diagnose.refit import Refitted, Words, added, limits_of, path_of
 from validation.effects.agreed import agreed
 from validation.effects.known import CHIP, applied, is_smooth, with_effect
 from validation.fit import Fit, refitted
-from validation.fit.image_fit import ANCHOR_MOVE, MAX_ANCHORS
+from validation.fit.image_fit import ANCHOR_MOVE, MAX_ANCHORS, moved
 from validation.fit.problem import CurvePredictor, ImagePredictor, Problem
-from validation.prediction import Anchored
-from validation.prediction.differences import stencil
+from validation.prediction import Anchored, View
+from validation.prediction.differences import Moved, stencil
 
 Real = NDArray[np.float64]
 
@@ -114,7 +117,7 @@ def unstuck(found: Refitted, base: Fit) -> Refitted:
     fit = found.fit
     if fit is None:
         return found
-    model = added(base.problem.model, found.candidate, found.value)
+    model = added(base.problem.model, found.candidate, found.size)
     problem = replace(
         fit.problem, model=model, predictor=base.problem.predictor, predict_curves=base.problem.predict_curves
     )
@@ -135,7 +138,9 @@ def _best_words(found: Refitted, problem: Problem, own: Fit) -> tuple[Fit, tuple
     if not words:
         return own, ()
     tried = next(dict(effect.parameters) for effect in problem.model.effects if effect.name == spec.name)
-    known, start = without(own.problem, path_of(spec.name, found.candidate.parameter.name)), own.problem.unknowns
+    known, start = own.problem, own.problem.unknowns
+    for path in found.paths:
+        known = without(known, path)
     fits = {}
     for said in product(*(one.choices for one in words)):
         wanted = tried | dict(zip((one.name for one in words), said, strict=True))
@@ -178,9 +183,10 @@ def _at_its_value(found: Refitted, fit: Fit, predictor: ImagePredictor) -> Refit
         return found
     few = min(anchor.histories, ON_THE_WAY)
     for _ in range(MAX_ANCHORS):
-        before, found = found, _about_its_value(found, predictor, few)
-        if abs(found.value - before.value) <= ANCHOR_MOVE * found.error:
+        found = _about_its_value(found, predictor, few)
+        if found.fit is None or moved(found.fit, fit, found.paths) <= ANCHOR_MOVE:
             break
+        fit = found.fit
     found = found if few == anchor.histories else _about_its_value(found, predictor, anchor.histories)
     return replace(found, chi2=line.chi2, line=line.fit)
 
@@ -196,29 +202,41 @@ def _about_its_value(found: Refitted, predictor: ImagePredictor, histories: int)
 
 
 def _sloped(found: Refitted, fit: Fit, predictor: ImagePredictor, anchor: Anchored) -> ImagePredictor:
-    """The fit's predictor with the slope of the images by the effect as it is at the fit's own value.
-
-    What two differences of Monte Carlo at moved models agree about, each with random numbers of its own and not those
-    of the anchor, whose noise is in the residual; by a tenth of the range to either side, for of most such columns a
-    fit leaves little, and short steps leave noise.
-    """
-    frozen, one = fit.problem.predictor, found.candidate.parameter
-    path = path_of(found.candidate.effect.name, one.name)
-    if not isinstance(frozen, FrozenImages) or path not in frozen.slopes:
+    """The fit's predictor with the slopes of the images by the effect as they are at the fit's own values."""
+    frozen = fit.problem.predictor
+    if not isinstance(frozen, FrozenImages):
         return frozen
-    views = fit.problem.views(fit.model, fit.problem.unknowns.named(fit.values))
-    lower, upper = limits_of(one)
-    step, squared = SLOPE_SHARE * (upper - lower), 2.0 * found.value if path in frozen.squares else 1.0
-    moved = stencil(lambda by: fit.model.with_value(path, found.value + by), step, path)
+    views, slopes = fit.problem.views(fit.model, fit.problem.unknowns.named(fit.values)), {**frozen.slopes}
+    for path, one in zip(found.paths, (found.candidate, *found.candidate.others), strict=True):
+        if path in slopes:
+            lower, upper = limits_of(one.parameter)
+            steps = stencil(partial(_moved, fit, path), SLOPE_SHARE * (upper - lower), path)
+            squared = 2.0 * fit.value(path) if path in frozen.squares else 1.0
+            images = _slope(steps, views, predictor, anchor, squared)
+            slopes[path] = [*images, *slopes[path][len(images) :]]
+    return replace(frozen, slopes=slopes)
+
+
+def _moved(fit: Fit, path: str, by: float) -> Model:
+    return fit.model.with_value(path, fit.value(path) + by)
+
+
+def _slope(
+    steps: Sequence[Moved[Model]], views: Sequence[View], predictor: ImagePredictor, anchor: Anchored, squared: float
+) -> list[Real]:
+    """What two differences of Monte Carlo at moved models agree about, each with random numbers of its own.
+
+    Not those of the anchor, whose noise is in the residual; by a tenth of the range to either side, for of most such
+    columns a fit leaves little, and short steps leave noise. `squared`: the slope of its square, by which it is told.
+    """
 
     def run(number: int) -> list[Real]:
         slopes = [np.zeros((view.rows, view.columns)) for view in views]
-        for weight, model in moved:
+        for weight, model in steps:
             seed, exits = anchor.seed + 1 + number, anchor.exit_seed + number
             there = replace(anchor, model=model, seed=seed, exit_seed=exits, histories=anchor.histories // 2)
             for slope, image in zip(slopes, predictor.images(model, views, (), there), strict=True):
                 slope += weight * image.irradiance_per_mm2 / squared
         return slopes
 
-    slopes = [agreed(*of) for of in zip(run(0), run(1), strict=True)]
-    return replace(frozen, slopes={**frozen.slopes, path: [*slopes, *frozen.slopes[path][len(slopes) :]]})
+    return [agreed(*of) for of in zip(run(0), run(1), strict=True)]

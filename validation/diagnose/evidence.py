@@ -7,15 +7,18 @@ the one unknown: integrated over, with its members normal about off.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 from numpy.typing import NDArray
 
 Real = NDArray[np.float64]
 
 
-def log_evidence(drop: float, error: float, lower: float, upper: float) -> float:
-    """Of a single effect: chi2 falls by `drop`, its parameter is known to +- `error` within lower to upper."""
-    return 0.5 * drop - float(np.log((upper - lower) / (np.sqrt(2.0 * np.pi) * error)))
+def log_evidence(drop: float, known: Iterable[tuple[float, float, float]]) -> float:
+    """Of a single effect: chi2 falls by `drop`; of each of its parameters error, lower and upper end of its range."""
+    costs = [np.log((upper - lower) / (np.sqrt(2.0 * np.pi) * error)) for error, lower, upper in known]
+    return 0.5 * drop - float(np.sum(costs))
 
 
 def group_log_evidence(products: Real, gram: Real, largest: float, points: int = 60) -> float:

@@ -6,7 +6,7 @@ those of the base fit and of the score test (`frozen`); what is kept is fitted t
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING
@@ -45,6 +45,9 @@ Real = NDArray[np.float64]
 LEAST_SHARE = 1e-3
 """Of its range: where a parameter starts whose image goes with its square, at whose off nothing has a slope."""
 
+LEAST = 1e-4
+"""Of a column: what the fit's own parameters must leave of it, for it to be fitted beside another."""
+
 MOST_HALVINGS = 4
 
 Words = tuple[str, ...]
@@ -80,10 +83,26 @@ class Refitted:
 
     @property
     def shape(self) -> tuple[tuple[str, Value], ...]:
-        """What only shapes the effect, as its model has it, else as it was tried."""
+        """What shapes the effect, and what acts beside its parameter, as its model has them, else as it was tried."""
         effects = () if self.model is None else self.model.effects
         values = next((e.parameters for e in effects if e.name == self.candidate.effect.name), {})
-        return tuple((name, values.get(name, value)) for name, value in self.candidate.shape)
+        shaped = tuple((name, values.get(name, value)) for name, value in self.candidate.shape)
+        beside = [one.parameter.name for one in self.candidate.others]
+        return (*shaped, *((name, values[name]) for name in beside if name in values))
+
+    @property
+    def paths(self) -> tuple[str, ...]:
+        """Of the parameters that act, the one that scored first."""
+        tried = (self.candidate, *self.candidate.others)
+        return tuple(path_of(one.effect.name, one.parameter.name) for one in tried)
+
+    @property
+    def size(self) -> dict[str, float]:
+        """The effect's parameters that act, by name, as its model has them; of a group and a switch the one value."""
+        own = self.candidate.parameter.name
+        shape = dict(self.shape)
+        others = {one.parameter.name: shape[one.parameter.name] for one in self.candidate.others}
+        return {own: self.value} | {name: value for name, value in others.items() if isinstance(value, float)}
 
 
 def path_of(effect: str, parameter: str) -> str:
@@ -91,16 +110,16 @@ def path_of(effect: str, parameter: str) -> str:
     return f"effects.{effect}.{parameter}"
 
 
-def added(model: Model, candidate: Candidate, value: float | None) -> Model:
-    """The model with the effect of a candidate in its shape; its parameter (None: a switch) is free in its range."""
-    one, spec = candidate.parameter, candidate.effect
-    values = off_values(spec, dict(candidate.shape))
-    if value is None:
-        return with_effect(model, applied(spec, values))
-    lower, upper = limits_of(one)
-    changed = with_effect(model, applied(spec, values | {one.name: float(np.clip(value, lower, upper))}))
-    limits = {path_of(spec.name, one.name): Limits(free=True, lower=lower, upper=upper)}
-    return changed.model_copy(update={"fit": model.fit | limits})
+def added(model: Model, candidate: Candidate, size: Mapping[str, float]) -> Model:
+    """The model with the effect of a candidate in its shape; those with a size (a switch has none) are free."""
+    spec = candidate.effect
+    values, limits = off_values(spec, dict(candidate.shape)), dict[str, Limits]()
+    for one in spec.parameters:
+        if one.name in size:
+            lower, upper = limits_of(one)
+            values[one.name] = float(np.clip(size[one.name], lower, upper))
+            limits[path_of(spec.name, one.name)] = Limits(free=True, lower=lower, upper=upper)
+    return with_effect(model, applied(spec, values)).model_copy(update={"fit": model.fit | limits})
 
 
 def limits_of(one: EffectParameter) -> tuple[float, float]:
@@ -120,39 +139,72 @@ def refit(base: Fit, score: Score, slopes: Slopes) -> Refitted:
 
 
 def freed(base: Fit, score: Score, slopes: Slopes) -> Refitted:
-    """The effect's parameter is one more unknown, begun where the score test expects it, the others beside it.
+    """The effect's parameters that act are more unknowns, begun where their columns expect them, all else beside.
 
     Or half as far from off, as often as the images there are worse than without it: beyond a straight line's reach.
     """
-    candidate = score.candidate
-    lower, upper = limits_of(candidate.parameter)
-    least = LEAST_SHARE * (upper - lower)
-    path = path_of(candidate.effect.name, candidate.parameter.name)
-    squares = frozenset([path] if candidate.parameter.score_variable == "square" else [])
+    tried = acting_together(base, score.candidate)
+    candidate = replace(score.candidate, others=tuple(tried[1:]))
+    sizes = [score.size] if len(tried) == 1 else _sizes(base, tried)
+    paths = [path_of(one.effect.name, one.parameter.name) for one in tried]
+    squares = frozenset(
+        path for path, one in zip(paths, tried, strict=True) if one.parameter.score_variable == "square"
+    )
     lines = frozenset() if is_smooth(candidate.effect) else frozenset([candidate.effect.name])
-    slopes = {**slopes, path: candidate.parts}
+    slopes = {**slopes, **{path: one.parts for path, one in zip(paths, tried, strict=True)}}
     frozen = with_slopes(base.problem, slopes, squares, lines)
-    size, own = score.size, base.problem.unknowns
+    own = base.problem.unknowns
     for _ in range(1 + MOST_HALVINGS):
-        start = float(np.clip(candidate.value(size), lower + least, upper - least))
-        left = base.residual - candidate.size(start) * candidate.columns[0]
+        starts = [_inside(one, size) for one, size in zip(tried, sizes, strict=True)]
+        sizes = [one.size(start) for one, start in zip(tried, starts, strict=True)]
+        left = base.residual - sum(size * one.columns[0] for one, size in zip(tried, sizes, strict=True))
         step = reduce(base.columns, left, own.parameters, base.values).step(short=True)
-        beside = own.within(base.values + step.change)
-        problem, values = posed(
-            frozen, added(base.model, candidate, start), tuple(slopes), own.named(beside) | {path: start}
-        )
+        beside, at = own.within(base.values + step.change), dict(zip(paths, starts, strict=True))
+        named = {one.parameter.name: start for one, start in zip(tried, starts, strict=True)}
+        problem, values = posed(frozen, added(base.model, candidate, named), tuple(slopes), own.named(beside) | at)
         if not is_dark(problem, values):
             residual = problem.evaluate(values).residual(base.whitening)
             if residual @ residual + prior_chi2(own.parameters, beside) <= total_chi2(base):
                 break
-        size = 0.5 * candidate.size(start)
+        sizes = [0.5 * size for size in sizes]
     if is_dark(problem, values):
-        problem, values = posed(frozen, problem.model, tuple(slopes), own.named(base.values) | {path: start})
+        problem, values = posed(frozen, problem.model, tuple(slopes), own.named(base.values) | at)
     found = refitted(problem, values, STEPS)
     return Refitted(
-        candidate, found.value(path), found.error(path), found.residual, total_chi2(found), path in found.at_limit,
-        found.model, found,
+        candidate, found.value(paths[0]), found.error(paths[0]), found.residual, total_chi2(found),
+        not set(paths).isdisjoint(found.at_limit), found.model, found,
     )  # fmt: skip
+
+
+def acting_together(base: Fit, candidate: Candidate) -> list[Candidate]:
+    """A candidate, and those of the effect's other parameters of which the fit's own leave something."""
+    shown = [np.linalg.norm(left_of(base, one)) > LEAST * np.linalg.norm(one.columns) for one in candidate.others]
+    return [candidate, *(one for one, shows in zip(candidate.others, shown, strict=True) if shows)]
+
+
+def whole_of(base: Fit, found: Refitted) -> Real:
+    """The rows of an effect whose parameters act together, at their sizes, less what the fit's own parameters do."""
+    size = found.size
+    tried = (found.candidate, *found.candidate.others)
+    return np.asarray(sum(one.size(size[one.parameter.name]) * left_of(base, one)[0] for one in tried))
+
+
+def _sizes(base: Fit, tried: Sequence[Candidate]) -> list[float]:
+    """Where their columns, less what the fit's own parameters do, leave least."""
+    rows = np.concatenate([left_of(base, one) for one in tried])
+    return [float(size) for size in np.linalg.lstsq(rows.T, base.residual, rcond=1e-6)[0]]
+
+
+def left_of(base: Fit, one: Candidate) -> Real:
+    """Its columns less what the fit's own parameters do."""
+    return np.asarray(one.columns - (one.columns @ base.basis.data) @ base.basis.data.T)
+
+
+def _inside(one: Candidate, size: float) -> float:
+    """The parameter at a size, a little inside of its range."""
+    lower, upper = limits_of(one.parameter)
+    least = LEAST_SHARE * (upper - lower)
+    return float(np.clip(one.value(size), lower + least, upper - least))
 
 
 def switched(base: Fit, candidate: Candidate) -> Refitted:
@@ -163,8 +215,8 @@ def switched(base: Fit, candidate: Candidate) -> Refitted:
     anew: beside an anchor in a corner, a right one may fit worse than nothing.
     """
     paths, ended = base.problem.unknowns.model_paths, base.problem.unknowns.named(base.values)
-    problem, near = posed(base.problem, added(base.model, candidate, None), paths, ended)
-    begun = replace(problem, model=added(base.problem.model, candidate, None))
+    problem, near = posed(base.problem, added(base.model, candidate, {}), paths, ended)
+    begun = replace(problem, model=added(base.problem.model, candidate, {}))
     of_model = {*paths, *filter(is_scale, ended)}
     anew = start_values(begun, {name: value for name, value in ended.items() if name not in of_model})
     starts = [(_lending(problem), near), (_lending(begun), anew)]
@@ -199,7 +251,7 @@ def spread(base: Fit, candidate: Candidate) -> Refitted:
 
     The spread s is the most likely one: members are normal with it, and the data know each to one over its column.
     """
-    rows = candidate.columns - (candidate.columns @ base.basis.data) @ base.basis.data.T
+    rows = left_of(base, candidate)
     _, upper = limits_of(candidate.parameter)
     best, members, log = drawn_back(rows, base.residual, upper)
     size = np.maximum(np.linalg.eigvalsh(rows @ rows.T), 0.0)
@@ -225,11 +277,11 @@ def drawn_back(rows: Real, residual: Real, largest: float) -> tuple[float, Real,
 
 def with_fit(found: Refitted, fit: Fit) -> Refitted:
     """The same with another fit of its model."""
-    switch = found.candidate.is_switch
-    path = path_of(found.candidate.effect.name, found.candidate.parameter.name)
+    switch, (path, *_) = found.candidate.is_switch, found.paths
     return replace(
         found, value=1.0 if switch else fit.value(path), error=0.0 if switch else fit.error(path),
-        residual=fit.residual, chi2=total_chi2(fit), at_limit=path in fit.at_limit, model=fit.model, fit=fit,
+        residual=fit.residual, chi2=total_chi2(fit), at_limit=not set(found.paths).isdisjoint(fit.at_limit),
+        model=fit.model, fit=fit,
     )  # fmt: skip
 
 

@@ -47,6 +47,8 @@ class Candidate:
     """Of a single column: the images in 1/mm^2 (row, column), then the curves, that it is whitened from."""
     is_switch: bool = False
     """Whether it is there or not: its column is the whole way from off to its shape, its size 1."""
+    others: tuple[Candidate, ...] = ()
+    """The effect's other parameters that act, in this shape: scored by themselves, and fitted together with it."""
 
     @property
     def is_group(self) -> bool:

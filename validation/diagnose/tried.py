@@ -14,8 +14,16 @@ from validation.diagnose.ending import beside, finished, is_stuck, unstuck
 from validation.diagnose.evidence import group_log_evidence, log_evidence
 from validation.diagnose.frozen import slopes_of
 from validation.diagnose.ground import Ground
-from validation.diagnose.refit import Refitted, limits_of, of_members, refit
-from validation.diagnose.score import EffectScore, Projected, Scores
+from validation.diagnose.refit import (
+    Refitted,
+    acting_together,
+    left_of,
+    limits_of,
+    of_members,
+    refit,
+    whole_of,
+)
+from validation.diagnose.score import Candidate, EffectScore, Projected, Scores
 from validation.diagnose.verdict import ALIKE, LEVEL, Explanation
 from validation.effects.confounding import Confounding, left_beside
 from validation.effects.known import is_smooth
@@ -71,7 +79,8 @@ class Tried:
             ended.add(likely)
             found = finished(self.refits[likely], fit.problem.predictor, fit.problem.predict_curves)
             self.short[likely] = as_fitted(self.projected, self.short[likely], found)
-            self.columns[self.short[likely].name] = self.projected.own(self.short[likely].best.candidate)
+            columns = columns_of(self.ground.fit, self.projected, self.short[likely].best.candidate)
+            self.columns[self.short[likely].name] = columns
             self._keep(likely, found)
             if found.candidate.is_group and self.explanations[likely].p_left < level / 2.0:
                 self._keep(likely, of_members(found, members_fit(fit, found.candidate.effect)))
@@ -115,6 +124,12 @@ class Tried:
         return self.explanations[number].drop + (0.0 if found is None else found.gap)
 
 
+def columns_of(fit: Fit, projected: Projected, candidate: Candidate) -> Real:
+    """Those of a candidate, then those of what acts together with it, less what the fit's own parameters do."""
+    _, *others = acting_together(fit, candidate)
+    return np.concatenate([projected.own(candidate), *(left_of(fit, one) for one in others)])
+
+
 def short_list(scored: Scores, alike: Confounding) -> list[EffectScore]:
     """The best few, those that are nearly the same as the best one, and what is there or not.
 
@@ -147,10 +162,11 @@ def _explanation(
     drop = base.chi2 + base.reduced.chi2_prior - found.chi2
     length, beside = float(np.sqrt(score.best.drop)), {}
     if not candidate.is_group:
-        own, size = columns[score.name][0], 1.0 if candidate.is_switch else score.best.size
-        length = abs(size) * float(np.linalg.norm(own))
+        size = 1.0 if candidate.is_switch else score.best.size
+        own = whole_of(base, found) if found.candidate.others else size * columns[score.name][0]
+        length = float(np.linalg.norm(own))
         others = [rival for rival in rivals if rival != score.name]
-        beside = {rival: abs(size) * left_beside(own, [columns[rival]]) for rival in others}
+        beside = {rival: left_beside(own, [columns[rival]]) for rival in others}
     change, percents = _held_out(base, found, candidate.effect)
     return Explanation(
         name=score.name,
@@ -179,10 +195,13 @@ def _log_evidence(ground: Ground, found: Refitted, drop: float, columns: Real) -
     candidate = found.candidate
     if candidate.is_switch or found.at_limit:
         return None
-    lower, upper = limits_of(candidate.parameter)
     if candidate.is_group:
+        _, upper = limits_of(candidate.parameter)
         return group_log_evidence(columns @ ground.fit.residual, columns @ columns.T, upper)
-    return log_evidence(drop, found.error, lower, upper) if 0.0 < found.error < np.inf else None
+    tried = (candidate, *candidate.others)
+    errors = [found.error] if found.fit is None else [found.fit.error(path) for path in found.paths]
+    known = [(error, *limits_of(one.parameter)) for error, one in zip(errors, tried, strict=True)]
+    return log_evidence(drop, known) if all(0.0 < error < np.inf for error, *_ in known) else None
 
 
 def _held_out(

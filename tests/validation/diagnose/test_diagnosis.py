@@ -21,6 +21,7 @@ from tests.validation.diagnose.made_up import (
     CATALOGUE,
     CHIPS,
     GAIN,
+    RISE,
     Affected,
     data,
     diagnosis,
@@ -112,6 +113,25 @@ def test_one_effect_is_named_with_its_size() -> None:
     assert dict(found.steps[0].refits[0].candidate.shape) == {"length_um": 300.0}
     assert dict(best.shape) == pytest.approx({"length_um": 300.0}, rel=0.01)
     assert "(length_um 299" in found.verdict.sentence or "(length_um 300" in found.verdict.sentence
+
+
+@pytest.mark.parametrize(("a", "b"), [(0.08, 0.06), (-0.06, 0.08), (0.08, 0.0)])
+def test_all_numbers_of_an_effect_that_act_are_fitted_together(a: float, b: float) -> None:
+    """A rise in any direction explains all, where each of its numbers alone explains a part; both are told."""
+    truth = MODEL.model_copy(update={"effects": (AppliedEffect(name="rise", parameters={"a": a, "b": b}),)})
+    found = diagnosis(images_of(truth, 3), known=(RISE, *CATALOGUE, CHIPS))
+    assert (found.verdict.word, found.set[0]) == ("one_effect", "rise")
+    best = found.steps[0].kept
+    assert best is not None
+    assert best.fit is not None
+    for path, value in (("effects.rise.a", a), ("effects.rise.b", b)):
+        assert abs(best.fit.value(path) - value) < 3.0 * best.fit.error(path)
+    (first,) = (one for one in found.steps[0].explanations if one.name == "rise")
+    assert first.share.value == pytest.approx(1.0, abs=0.1)
+    ((other, value),) = first.shape
+    assert {first.parameter, other} == {"a", "b"}
+    assert f"({other} {value:.4g})" in found.verdict.sentence
+    assert first.sigma == pytest.approx(np.sqrt(first.drop), rel=0.1)
 
 
 def test_an_effect_whose_square_counts_is_fitted_from_off() -> None:

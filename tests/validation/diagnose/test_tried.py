@@ -49,6 +49,7 @@ def test_what_ended_about_the_first_monte_carlo_is_compared_about_its_rivals(
     monkeypatch.setattr(tried, "finished", finished)
     monkeypatch.setattr(tried, "beside", beside)
     monkeypatch.setattr(tried, "as_fitted", lambda _, score, __: score)
+    monkeypatch.setattr(tried, "columns_of", lambda *_: None)
     monkeypatch.setattr(tried, "is_smooth", lambda _: True)
     monkeypatch.setattr(tried, "_explanation", lambda _, __, found, *___: found)
     ground: Any = SimpleNamespace(
