@@ -12,7 +12,7 @@ from functools import cached_property
 from pathlib import Path
 
 from luxloop.effect import EffectSpec, Value
-from luxloop.errors import InputError
+from luxloop.errors import InputError, RemoteError
 from luxloop.model import Model
 from validation.comparing import Solver
 from validation.contrasts.structure import DRAWS, fit_projection
@@ -156,14 +156,20 @@ class Diagnosing:
         """The fit of the model that has an effect besides: where each sample has its own of it, a value for each."""
         if is_by_sample(effect) and self.observed.of_modules and "modules" in effect.acts_on:
             self.scored(found, [effect])  # what these data cannot show is said first
-            return self._members_fit(found, effect)
+            return with_own_values(found, effect, self._apart)
         ended = self.refitted(found, effect).fit
         if ended is None:
             raise ValueError(f"{effect.name} is a group, and no sample has its own of it")
         return ended
 
-    def _members_fit(self, found: Fit, effect: EffectSpec) -> Fit:
-        return with_own_values(found, effect, self._apart)
+    def _members_fit(self, found: Fit, effect: EffectSpec) -> Fit | None:
+        """The fit with a group's members; None where a worker refuses a step of it (a chip beyond the module)."""
+        try:
+            return with_own_values(found, effect, self._apart)
+        except (InputError, RemoteError) as error:
+            if isinstance(error, RemoteError) and error.failure.code != "bad_input":
+                raise
+            return None
 
     def _apart(self, found: Fit, effect: EffectSpec, shape: Mapping[str, Value]) -> list[Column]:
         """The columns of an effect at a fit, of each sample by themselves."""

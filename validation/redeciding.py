@@ -28,7 +28,7 @@ from validation.diagnose.verdict import (
     is_visible,
 )
 from validation.model_versions import versions
-from validation.sample_values import members
+from validation.sample_values import numbers
 
 Document = Mapping[str, Any]
 
@@ -85,7 +85,7 @@ def changed_model(document: Document, command: str, before: Model | None, at: Pl
     at.exact("model after", document["after_sha256"], after.sha256)
     if before is not None:
         at.exact("what changed", document["diff"], [str(one) for one in diff(before, after)])
-    here = after.leaves() | {path: value for path, (_, value) in members(after).items()}
+    here = numbers(after)
     for row in document["fitted"]:
         at.exact("fitted value", row["value"], here.get(row["path"]), row["path"])
     at.exact("trusted", document["trusted"], not document["reason"])

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from luxloop.effect import Value
 from luxloop.errors import InputError
@@ -62,6 +63,11 @@ def members(model: Model) -> dict[str, tuple[Member, float]]:
                     if isinstance(one, float) and member.limits_path in model.fit:
                         found[member.path] = member, one
     return found
+
+
+def numbers(model: Model) -> dict[str, Any]:
+    """All values of a model by path, members among them."""
+    return model.leaves() | {path: value for path, (_, value) in members(model).items()}
 
 
 def free_members(model: Model) -> dict[str, tuple[Member, float]]:

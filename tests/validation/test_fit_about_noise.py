@@ -222,15 +222,17 @@ def test_the_last_anchor_takes_as_many_histories_as_its_noise_asks_for():
     assert histories_for(0.5, 1000, 1.0) == 4000
 
 
-def test_the_last_anchor_is_one_of_three(monkeypatch):
-    """A fit that goes on moving has three anchors; where the last one takes more histories, two lead to it."""
-    monkeypatch.setattr(image_fit, "moved", lambda *_: np.inf)
-    noise = {SINGLE.id: _waves(SINGLE, 0.002), ARRAY.id: _waves(ARRAY, 0.004)}
-    for most, histories in ((0, [1000] * 3), (1200, [1000, 1000, 1200])):
-        predictor = Spots(noise)
-        fit(MODEL, two_images(), predictor, anchor_at=lambda model: Anchored(model, 1000), most_histories=most)
-        made = dict.fromkeys((one.histories, one.model.sha256) for one in predictor.anchors if one and one.histories)
-        assert [number for number, _ in made] == histories
+@pytest.mark.parametrize(
+    ("move", "most", "histories"),
+    [(1.0, 0, [1000] * 3), (1.0, 1200, [1000, 1000, 1200]), (9.0, 1200, [1000] * 3 + [1200]), (0.1, 0, [1000])],
+)
+def test_the_last_anchor_is_one_of_three_where_the_fit_is_near(monkeypatch, move, most, histories):
+    """A fit that goes on moving has three anchors; two lead to one of more histories, if it is near enough by then."""
+    monkeypatch.setattr(image_fit, "moved", lambda *_: move)
+    predictor = Spots({SINGLE.id: _waves(SINGLE, 0.002), ARRAY.id: _waves(ARRAY, 0.004)})
+    fit(MODEL, two_images(), predictor, anchor_at=lambda model: Anchored(model, 1000), most_histories=most)
+    made = dict.fromkeys((one.histories, one.model.sha256) for one in predictor.anchors if one and one.histories)
+    assert [number for number, _ in made] == histories
 
 
 def test_an_anchor_that_has_enough_is_not_made_anew():

@@ -14,6 +14,7 @@ from validation.fit.image_fit import ANCHOR_MOVE, MAX_ANCHORS, TWIN_STEPS, moved
 from validation.fit.problem import Problem
 from validation.fit.start import start_values
 from validation.prediction import Anchored
+from validation.sample_values import numbers
 
 Real = NDArray[np.float64]
 
@@ -73,7 +74,7 @@ def is_scale(name: str) -> bool:
 
 def start_of(problem: Problem, ended: Mapping[str, float]) -> dict[str, float]:
     """Where a fit of the problem's model begins by itself: at its own values, images placed as another fit ended."""
-    leaves = problem.model.leaves()
+    leaves = numbers(problem.model)
     placed = {name: value for name, value in ended.items() if not is_scale(name)}
     return placed | {path: float(leaves[path]) for path in problem.unknowns.model_paths}
 

@@ -17,7 +17,7 @@ def arrays_of(found: Diagnosis) -> dict[str, Real]:
     (row, column), NaN where a pixel is not used.
     """
     first = found.steps[0]
-    best = first.kept
+    best = first.kept if found.verdict.names else None
     arrays = _of(first.ground.fit)
     if best is not None and best.fit is not None:
         arrays |= {name.replace("/z", "/z_with"): one for name, one in _of(best.fit).items() if name.endswith("/z")}

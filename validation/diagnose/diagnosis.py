@@ -20,7 +20,7 @@ from validation.diagnose.in_words import left_in_words, limits_in_words, more_in
 from validation.diagnose.next_measurement import Proposal, next_in_words
 from validation.diagnose.refit import Refitted
 from validation.diagnose.score import Candidate, Projected, Scores, scores
-from validation.diagnose.tried import MembersFit, Progress, Tried, columns_of, short_list
+from validation.diagnose.tried import GroundOf, MembersFit, Progress, Tried, columns_of, short_list
 from validation.diagnose.verdict import (
     HALF,
     LEVEL,
@@ -51,7 +51,7 @@ class Means:
     closely: Callable[[Fit, Sequence[EffectSpec]], list[Candidate]]
     """The same of effects that only Monte Carlo shows, with less of its noise."""
     members_fit: MembersFit
-    ground_of: Callable[[Fit], Ground]
+    ground_of: GroundOf
     """The structure of a further fit, with a null of its own."""
     next_image: Callable[[Fit, Sequence[Refitted]], list[Proposal]]
     """Measurements that would tell rivals apart, the best of them first."""
@@ -180,7 +180,8 @@ def _step(ground: Ground, effects: Sequence[EffectSpec], means: Means, seed: int
         return Step(ground, scored, alike, (), (), verdict)
     tried = Tried(ground, projected, best, short_list(scored, alike))
     tried.refit(means.progress)
-    tried.finish(means.progress, means.members_fit, level)
+    tried.finish(means.progress)
+    tried.look_into_group(means.members_fit, means.ground_of)
 
     proposals: list[Proposal] = []
 

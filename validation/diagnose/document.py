@@ -130,7 +130,7 @@ def parameters_document(found: Diagnosis) -> list[dict[str, Any]]:
     """The model's own parameters without any effect and with the best one: where they move back to."""
     first = found.steps[0]
     fit = first.ground.fit
-    best = first.kept
+    best = first.kept if found.verdict.names else None
     rows = []
     for path in (path for path in fit.problem.unknowns.model_paths if not path.startswith(LEAD)):
         limits_at = fit.model.fit[path]

@@ -35,6 +35,7 @@ from validation.fit.image_fit import ANCHOR_MOVE, MAX_ANCHORS, moved
 from validation.fit.problem import CurvePredictor, ImagePredictor, Problem
 from validation.prediction import Anchored, View
 from validation.prediction.differences import Moved, stencil
+from validation.sample_values import LEAD
 
 Real = NDArray[np.float64]
 
@@ -103,10 +104,11 @@ def beside(found: Refitted, other: Refitted, base: Fit) -> Refitted:
 
 
 def is_stuck(found: Refitted, base: Fit) -> bool:
-    """Whether a parameter that the base fit moves, too, is held at its limit."""
+    """Whether a parameter that the base fit moves, too, and all samples have in common, is held at its limit."""
     if found.fit is None or found.at_limit or found.candidate.is_switch or not is_smooth(found.candidate.effect):
         return False
-    return not {*base.problem.unknowns.model_paths}.isdisjoint(found.fit.at_limit)
+    shared = {path for path in base.problem.unknowns.model_paths if not path.startswith(LEAD)}
+    return not shared.isdisjoint(found.fit.at_limit)
 
 
 def unstuck(found: Refitted, base: Fit) -> Refitted:

@@ -73,7 +73,7 @@ class Rivals:
     def proposals(self, heard: Callable[[float, str], None] = lambda *_: None) -> list[Proposal]:
         """All candidates, the best first. Empty where no rival has a size of its own."""
         paths = self._paths
-        usable = [one for one in self.refits if one.model is not None]
+        usable = [one for one in self.refits if one.model is not None and not one.candidate.is_group]
         if len(usable) < 2 or not self.fit.problem.images:
             return []
         here = self._here(usable)
@@ -218,9 +218,7 @@ def _separation(rows: Sequence[Rows], prior_sd: Real, usable: Sequence[Refitted]
 
 def _at_size(model: Model, one: Refitted) -> Model:
     spec, candidate = one.candidate.effect, one.candidate
-    values = off_values(spec, dict(candidate.shape))
-    if not candidate.is_switch:
-        values[candidate.parameter.name] = one.value
+    values = off_values(spec, dict(candidate.shape)) | ({} if candidate.is_switch else one.size)
     return with_effect(model, applied(spec, values))
 
 

@@ -44,6 +44,7 @@ TWIN_STEPS = 10  # before there is an anchor: where a model lacks much, more go 
 MAX_DAMPING = 1e6
 MAX_ANCHORS = 3
 WORTH_MORE = 1.2  # times as many histories: for fewer no anchor is made anew
+NEAR = 2.0  # errors from its anchor: nearer, the last one, of more histories, may be the next
 ANCHOR_MOVE = 0.3  # of a parameter's error: further from its anchor, the anchor is renewed
 
 
@@ -90,9 +91,10 @@ def fit(
             break
         anchored = replace(found.problem, anchor=replace(anchor, poses=tuple(found.poses.values())))
         at_anchor, found = found, _unclipped(anchored, found.values, found.iterations)
-        if found.converged and moved(found, at_anchor, paths) < ANCHOR_MOVE:
+        move = moved(found, at_anchor, paths) if found.converged else np.inf
+        if move < ANCHOR_MOVE:
             break
-        if further == 1 and _quieter_anchor(found, most_histories) is not None:  # it is made where the fit is now
+        if further == 1 and move < NEAR and _quieter_anchor(found, most_histories) is not None:  # it is made here
             break
     quieter = _quieter_anchor(found, most_histories)
     if quieter is None:

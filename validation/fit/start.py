@@ -11,6 +11,7 @@ from scipy import fft
 from validation.fit.parameters import tied
 from validation.fit.problem import Problem
 from validation.measured import MeasuredImage
+from validation.sample_values import numbers
 
 Real = NDArray[np.float64]
 
@@ -20,7 +21,7 @@ FURTHEST = 0.25  # of the image's side: how far from its first guess the module 
 def start_values(problem: Problem, given: Mapping[str, float]) -> Real:
     """Values to start from: those of the model, those given, and for each image what a first look at it says."""
     names = problem.unknowns.names
-    leaves = problem.model.leaves()
+    leaves = numbers(problem.model)
     values = dict.fromkeys(names, 0.0) | {path: float(leaves[path]) for path in problem.unknowns.model_paths}
     values |= {name: 1.0 for name in names if name == "gain" or name.endswith((".gain", ".scale"))}
     values |= {name: value for name, value in given.items() if name in values}

@@ -6,6 +6,7 @@ stripes               1 + a cos(2 pi x / L): L shapes it
 lines                 1 + a cos(2 pi u / 300 um), u = x or y: a word shapes it
 chips                 1 + (g + 3 g^2 cos(2 pi y / 150 um)) exp(-d^2 / 2 (100 um)^2) about each of three chips
 rise                  1 + (a x + b y) / 500 um: two numbers act
+flipped               upside down, or as is
 spiral                1 + a cos(3 phi): not in the catalogue, for what nobody knows
 """
 
@@ -64,6 +65,10 @@ RISE = EffectSpec(
         EffectParameter(name=name, description="along an axis", lower=-0.5, upper=0.5, off=0.0) for name in "ab"
     ),
 )  # fmt: skip
+FLIPPED = EffectSpec(
+    name="flipped", stage="detector", description="there or not", discrete=True,
+    parameters=(EffectParameter(name="way", description="round", choices=("as is", "flipped"), off="as is"),),
+)  # fmt: skip
 CATALOGUE = (spec("ripple"), spec("ripple_like"), spec("fog", square=True), spec("stripes", LENGTH))
 
 
@@ -104,6 +109,9 @@ def seen(model: Model, view: View, image: Real) -> Real:
             for gain, centre in zip(effect.parameters["gain"], (-200.0, 0.0, 200.0), strict=False):  # type: ignore[arg-type]  # a list
                 bent = gain + 3.0 * gain**2 * np.cos(2.0 * np.pi * y / 150.0)
                 image = image * (1.0 + bent * np.exp(-((x - centre) ** 2 + y**2) / 2e4))
+            continue
+        if effect.name == "flipped":
+            image = image[::-1] if effect.parameters["way"] == "flipped" else image
             continue
         if effect.name == "rise":
             a, b = (float(effect.parameters[name]) for name in ("a", "b"))  # type: ignore[arg-type]  # numbers

@@ -20,6 +20,7 @@ from tests.validation.diagnose.made_up import (
     ANOTHER,
     CATALOGUE,
     CHIPS,
+    FLIPPED,
     GAIN,
     RISE,
     Affected,
@@ -235,11 +236,12 @@ def test_a_group_is_named_where_it_leaves_nothing(scale: float, fits: int, monke
 
 def test_what_a_group_leaves_is_looked_through() -> None:
     """Powers and ripples: both are named. What nobody knows: chips take a part of it, and leave structure."""
-    known = CHIPS, spec("ripple")
+    known = CHIPS, spec("ripple"), FLIPPED
     found = diagnosis(
         images_of(group_of(0.5, AppliedEffect(name="ripple", parameters={"size": 0.03})), 3), known=known
     )
     assert [one.name for one in found.added] == ["chips", "ripple"]
+    assert "flipped" in [one.name for one in found.steps[1].explanations]  # a switch is begun anew beside members
     assert "What it leaves is explained by ripple" in found.verdict.sentence
     found = diagnosis(
         images_of(group_of(0.5, AppliedEffect(name="spiral", parameters={"size": 0.05})), 3), known=known

@@ -68,3 +68,16 @@ def test_how_near_the_fits_are_is_said_where_columns_would_tell_them() -> None:
             explanation("far", 620.0, share, {"lobe": by_columns}),
         ]
         assert words in decided(tried, 32, lambda: "", lambda _: "Take one image.").sentence
+
+
+@pytest.mark.parametrize(
+    ("left", "drop", "first"), [(0.001, 400.0, "dark"), (0.001, 300.0, "chips"), (0.3, 400.0, "chips")]
+)
+def test_a_group_that_leaves_structure_is_not_named_before_what_leaves_none(
+    left: float, drop: float, first: str
+) -> None:
+    """Where that lowers chi2 nearly as much: a number for each chip takes most of anything."""
+    share = Share(0.98, 0.03)
+    group = replace(explanation("chips", 410.0, share, {"dark": 9.0}), has_members=True, p_left=left)
+    tried = [group, explanation("dark", drop, share, {"chips": 9.0})]
+    assert decided(tried, 32, lambda: "", lambda _: "").set[0] == first
