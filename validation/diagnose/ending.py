@@ -30,6 +30,7 @@ from validation.diagnose.frozen import FrozenImages, frozen_at, without
 from validation.diagnose.refit import Refitted, Words, added, limits_of, path_of, posed, with_fit
 from validation.effects.agreed import agreed
 from validation.effects.known import CHIP, applied, is_smooth, with_effect
+from validation.effects.signatures import enough_of
 from validation.fit import Fit, refitted
 from validation.fit.image_fit import ANCHOR_MOVE, MAX_ANCHORS, moved
 from validation.fit.problem import CurvePredictor, ImagePredictor, Problem
@@ -232,12 +233,15 @@ def _slope(
     columns a fit leaves little, and short steps leave noise. `squared`: the slope of its square, by which it is told.
     """
 
+    histories = anchor.histories // 2
+    there = replace(anchor, histories=histories, enough=enough_of(views, histories))
+
     def run(number: int) -> list[Real]:
         slopes = [np.zeros((view.rows, view.columns)) for view in views]
         for weight, model in steps:
             seed, exits = anchor.seed + 1 + number, anchor.exit_seed + number
-            there = replace(anchor, model=model, seed=seed, exit_seed=exits, histories=anchor.histories // 2)
-            for slope, image in zip(slopes, predictor.images(model, views, (), there), strict=True):
+            moved_there = replace(there, model=model, seed=seed, exit_seed=exits)
+            for slope, image in zip(slopes, predictor.images(model, views, (), moved_there), strict=True):
                 slope += weight * image.irradiance_per_mm2 / squared
         return slopes
 

@@ -140,9 +140,8 @@ class Sight:
 
     def _traced(self, models: Iterable[Model], wanted: Sequence[int], run: int) -> Iterator[list[Real]]:
         asked = [self.views[number] for number in wanted]
-        alone = {view.sample.id: int(ALONE * self.histories) for view in asked if _chips(view.sample) == 1}
+        enough, seed = enough_of(asked, self.histories), self.seed + run
         for model in models:
-            seed, enough = self.seed + run, tuple(alone.items())
             anchor = Anchored(model, self.histories, seed, exit_seed=1 + run, stored_exits=True, enough=enough)
             found = self.predictor.images(model, asked, (), anchor) if asked else []
             yield [one.irradiance_per_mm2 for one in found]
@@ -325,6 +324,12 @@ def _modules(sight: Sight, one: EffectParameter, apart: bool) -> Iterator[tuple[
         chips = _chips(sample)
         if chips > 1 or not one.per_chip:  # the power of a single chip is its image's gain
             yield sample.id, chips, [number for number, view in enumerate(sight.views) if view.sample.id == sample.id]
+
+
+def enough_of(views: Sequence[View], histories: int) -> tuple[tuple[str, int], ...]:
+    """Histories of those samples whose images are as quiet with fewer, by id, for an anchor of so many."""
+    alone = {view.sample.id: int(ALONE * histories) for view in views if _chips(view.sample) == 1}
+    return tuple(alone.items())
 
 
 def _chips(sample: Sample) -> int:
