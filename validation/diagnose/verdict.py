@@ -3,7 +3,8 @@
     fit_not_trustworthy   the fit itself says so
     nothing_visible       neither structure nor any effect's score is unlikely, each at half the level
     none_of_the_known     the best effect explains less than half of the structure by an error (by two, where the
-                          share is known to no better than 0.15), and structure is left; or all that was kept, round
+                          share is known to no better than 0.15), or lowers chi2 by no more than noise does of so
+                          many effects (14 of 32), and structure is left; or all that was kept, round
                           by round, explains less than 0.8, and structure is left; or a group is all that was kept,
                           and structure is left: with a number for each chip it takes most of anything
     cannot_tell_apart     a rival explains nearly as much, and less than 5 sigma would be left of the one beside it,
@@ -23,6 +24,8 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
+
+from scipy.stats import chi2 as chi2_of
 
 from luxloop.effect import Value
 from validation.diagnose.explained import Share
@@ -153,7 +156,7 @@ def decided(
     next_image : what would separate the effects of these names, asked where the data do not.
     """
     usable = _in_order([one for one in explanations if one.plausible], level)
-    if not usable or _explains_too_little(usable[0], level):
+    if not usable or _explains_too_little(usable[0], level) or _is_noise(usable[0], known, level):
         return none_of_the_known(known, max((one.share.value for one in explanations), default=0.0), left())
     best, others = usable[0], usable[1:]
     if best.distrust and best.p_left >= level / 2.0:  # else another effect may be what drives it there
@@ -243,6 +246,11 @@ def _explains_too_little(best: Explanation, level: float) -> bool:
     """Less than half, with its error (twice it where that is wide), while structure is left."""
     errors = 1.0 if best.share.decides else 2.0
     return best.share.value + errors * best.share.error < HALF and best.p_left < level / 2.0
+
+
+def _is_noise(best: Explanation, known: int, level: float) -> bool:
+    """Whether noise alone would lower chi2 as much by one of so many effects, while structure is left."""
+    return best.drop < chi2_of.isf(level / 2.0 / max(known, 1), 1) and best.p_left < level / 2.0
 
 
 def _alike(best: Explanation, other: Explanation) -> bool:
