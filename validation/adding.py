@@ -8,7 +8,7 @@ from luxloop.model_file import diff, to_toml
 from luxloop.units import unit_of
 from validation.diagnose.document import finite, shot_documents
 from validation.diagnose.ladder import BEFORE, Rung
-from validation.sample_values import members, without_samples
+from validation.sample_values import members, without
 
 if TYPE_CHECKING:
     from luxloop.model import Model
@@ -43,13 +43,6 @@ def told_of(model: Model, before: Ground, after: Ground) -> dict[str, Any]:
         "after_sha256": after.fit.model.sha256,
         "after_model": to_toml(after.fit.model),
     }
-
-
-def without(model: Model, effect: str) -> Model:
-    """The model without an effect and without what its [fit] tables and its samples say of it."""
-    left = tuple(one for one in model.effects if one.name != effect)
-    fit = {path: one for path, one in model.fit.items() if not path.startswith(f"effects.{effect}.")}
-    return without_samples(model.model_copy(update={"effects": left, "fit": fit}), effect)
 
 
 def _fitted(found: Fit) -> list[dict[str, Any]]:

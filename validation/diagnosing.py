@@ -173,7 +173,8 @@ class Diagnosing:
 
     def _apart(self, found: Fit, effect: EffectSpec, shape: Mapping[str, Value]) -> list[Column]:
         """The columns of an effect at a fit, of each sample by themselves."""
-        return signature(self._sight_of(found), found.model, effect, shape, apart=True)
+        sight = self._sight_of(found)
+        return signature(sight, sight.at(found.model, effect), effect, shape, apart=True)
 
     def _sight_of(self, found: Fit) -> FitSight:
         if self._sight is None or self._sight[0] is not found:

@@ -127,6 +127,13 @@ def without_samples(model: Model, effect: str) -> Model:
     return model.model_copy(update={"samples": {sample: own for sample, own in left.items() if own}})
 
 
+def without(model: Model, effect: str) -> Model:
+    """The model without an effect and without what its [fit] tables and its samples say of it."""
+    left = tuple(one for one in model.effects if one.name != effect)
+    fit = {path: one for path, one in model.fit.items() if not path.startswith(f"effects.{effect}.")}
+    return without_samples(model.model_copy(update={"effects": left, "fit": fit}), effect)
+
+
 def refuse_strangers(model: Model, samples: Iterable[str]) -> None:
     """Raises InputError for values of a sample that the data do not have, or of an effect that the model lacks."""
     known, effects = list(samples), [one.name for one in model.effects]

@@ -58,7 +58,7 @@ class FitSight(Sight):
     def signature(self, model: Model, spec: EffectSpec, shape: Mapping[str, Value]) -> list[Column]:
         """The columns of an effect in a shape."""
         if spec.twin:
-            return signature(self, model, spec, shape)
+            return signature(self, self.at(model, spec), spec, shape)
         key = (spec.name, *shape.items())
         if key not in self.traced:
             self.traced[key] = signature(self, model, spec, shape)
@@ -120,13 +120,12 @@ def _switches(
     fit: Fit, spec: EffectSpec, shape: dict[str, Value], sight: FitSight, projection: Projection
 ) -> Iterator[Candidate]:
     """The way from the model as it is to each other word, or value, of a parameter that has no slope at off."""
+    off = sight.at(fit.model, spec)
     for one in spec.parameters:
         others: Sequence[Value] = [word for word in one.choices if word != one.off] if one.off else [shape[one.name]]
         for value in others:
             values = off_values(spec, shape) | {one.name: value}
-            model = with_effect(fit.model, applied(spec, values))
-            parts = sight.summed(
-                [Moved(1.0, model), Moved(-1.0, fit.model)], not spec.twin, lender=fit.model, walks=spec.walks
-            )
+            moved = [Moved(1.0, with_effect(off, applied(spec, values))), Moved(-1.0, off)]
+            parts = sight.summed(moved, not spec.twin, lender=off, walks=spec.walks)
             column = Column(spec.name, one.name, values, None, 1.0, parts)
             yield Candidate(spec, one, tuple(values.items()), projection.rows(column)[None], is_switch=True)

@@ -158,7 +158,8 @@ class Rivals:
 
     def _change(self, sight: Sight, one: Refitted) -> tuple[Real, ...]:
         """What an effect of its fitted size does to the images of the model without it."""
-        model, effect = self.fit.model, one.candidate.effect
+        effect = one.candidate.effect
+        model = sight.at(self.fit.model, effect)
         there, off = _at_size(model, one), model
         if effect.walks:
             values = next(other.parameters for other in there.effects if other.name == effect.name)

@@ -33,7 +33,7 @@ from validation.fit.whitening import Whitening
 from validation.measured import MeasuredImage
 from validation.prediction import Anchored, Curve, Predictor, View
 from validation.prediction.differences import Moved, stencil
-from validation.sample_values import of_sample, with_sample
+from validation.sample_values import of_sample, with_sample, without
 
 Real = NDArray[np.float64]
 
@@ -134,6 +134,17 @@ class Sight:
         count = len(self.views)
         images = first[:count] if not others else [agreed(*of) for of in zip(first[:count], *others, strict=True)]
         return (*images, *first[count:])
+
+    def at(self, model: Model, spec: EffectSpec) -> Model:
+        """The model at which the column of an effect is taken.
+
+        Of one that the twin represents without those that it cannot: what a tilt does to the column of another effect
+        is of second order, and with it all columns would be by Monte Carlo.
+        """
+        if spec.twin:
+            for one in model.effects:
+                model = without(model, one.name) if one.name in self.beyond_twin else model
+        return model
 
     def _is_beyond_twin(self, models: Iterable[Model]) -> bool:
         return any(one.name in self.beyond_twin for model in models for one in model.effects)

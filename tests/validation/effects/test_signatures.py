@@ -286,3 +286,16 @@ def test_a_model_with_unknown_effects_or_values_is_refused() -> None:
     ):
         with pytest.raises(InputError, match=words):
             known.refuse_unknown(model)
+
+
+def test_columns_of_what_the_twin_knows_are_the_twins_beside_what_it_does_not() -> None:
+    """A model with a tilt: other effects are moved without it, and by no Monte Carlo; the tilt itself stays."""
+    wedge = EffectSpec(name="wedge", stage="geometry", description="", parameters=(AMPLITUDE,), twin=False)
+    model = with_sample(
+        with_effect(Model(name="m"), applied_to(wedge, {"a": 0.3})), SINGLE.id, "wedge", {"a": 0.4}
+    ).with_value("environment.substrate.reflectance", 0.9)
+    sight, own = replace(sight_of(Pretended(lambda _: BASE)), beyond_twin=frozenset(["wedge"])), spec_of(AMPLITUDE)
+    at = sight.at(model, own)
+    assert (at.effects, at.samples) == ((), {})
+    assert at.leaves()["environment.substrate.reflectance"] == 0.9
+    assert sight.at(model, wedge) is model
