@@ -61,7 +61,8 @@ def test_what_ended_about_the_first_monte_carlo_is_compared_about_its_rivals(
     refits = [one("truth", 100.0, FIRST), one("rival", 95.0, FIRST)]
     projected: Any = SimpleNamespace(own=lambda _: None)
     list_of = Tried(ground, projected, {}, short, refits, list[Any](refits))
-    list_of.finish(lambda *_: None, never)
+    list_of.finish(lambda *_: None)
+    list_of.look_into_group(never, never)
     assert asked == ["rival beside truth", *again]
     assert [found.fit.problem.anchor for found in list_of.refits] == list(ends)
 
