@@ -48,6 +48,7 @@ from validation.diagnose.refit import refit
 from validation.diagnose.score import Projected, scores
 from validation.diagnose.verdict import LEVEL
 from validation.fit import NOT_CONVERGED, Fit, fit
+from validation.fit.parameters import free_paths
 from validation.prediction import Anchored
 from validation.redeciding import explanation_of, verdict_of
 
@@ -129,6 +130,9 @@ def test_all_numbers_of_an_effect_that_act_are_fitted_together(a: float, b: floa
         assert abs(best.fit.value(path) - value) < 3.0 * best.fit.error(path)
     (first,) = (one for one in found.steps[0].explanations if one.name == "rise")
     assert first.share.value == pytest.approx(1.0, abs=0.1)
+    (written,) = (one.parameters for one in best.fit.model.effects)
+    assert set(written) == {"a", "b"}  # what `add` writes, both of them free
+    assert {"effects.rise.a", "effects.rise.b"} <= set(free_paths(best.fit.model))
     ((other, value),) = first.shape
     assert {first.parameter, other} == {"a", "b"}
     assert f"({other} {value:.4g})" in found.verdict.sentence
