@@ -34,8 +34,11 @@ from validation.fit import (
     film_parameters,
     fit,
     profile,
+    refitted,
 )
+from validation.fit.image_fit import PROMISED
 from validation.fit.problem import wrapped_deg
+from validation.fit.start import start_values
 from validation.measured import MeasuredSpectrum
 from validation.prediction import Anchored, Pose, PredictedCurve
 
@@ -83,6 +86,20 @@ def test_each_iteration_asks_once():
     predictor = Spots()
     result = fit(MODEL, two_images(), predictor)
     assert predictor.asked <= result.iterations + 5
+
+
+def test_a_fit_ends_where_what_is_asked_is_out_of_reach(found):
+    """What chi2 cannot reach is given up before the optimum; what it can is fitted to the same end."""
+    problem = replace(found.problem, predictor=Spots())
+    start = start_values(problem, {})
+    whole = refitted(problem, start)
+    assert whole.chi2 == pytest.approx(found.chi2, abs=0.5)
+    reached = refitted(problem, start, below=whole.chi2 + 10.0)
+    assert (reached.values == whole.values).all()
+    given_up = refitted(problem, start, below=0.5 * whole.chi2)
+    assert given_up.iterations < whole.iterations
+    assert given_up.chi2 - PROMISED * given_up.gap > 0.5 * whole.chi2
+    assert not given_up.converged
 
 
 def test_nuisances_only():

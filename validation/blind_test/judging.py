@@ -29,15 +29,18 @@ from validation.blind_test.seals import seal_on
 from validation.comparing import Solver
 from validation.contrasts.structure import fit_layout, fit_projection, judged
 from validation.dataset.folder import read_dataset
+from validation.diagnose.anew import thawed
 from validation.diagnose.arrays import arrays_of
 from validation.diagnose.diagnosis import Diagnosis
 from validation.diagnose.document import document
+from validation.diagnose.frozen import frozen_at
 from validation.diagnose.ground import Ground
 from validation.diagnose.score import Candidate
 from validation.diagnosing import Diagnosing
 from validation.effects.known import Known
 from validation.fit import Fit, refitted
 from validation.fit.parameters import free_paths
+from validation.fit.problem import Problem
 from validation.observed import Observed
 from validation.prediction import Anchored, Predictor
 
@@ -55,6 +58,8 @@ class Shared:
     light: str = ""
     anchor: Anchored | None = None
     ground: Ground | None = None
+    frozen: Problem | None = None
+    """That of the first set's fit, with the derivatives where it ended: noise moves a fit by some errors."""
     candidates: list[Candidate] = field(default_factory=list)
     refused: dict[str, str] = field(default_factory=dict)
 
@@ -80,7 +85,9 @@ class SharedDiagnosing(Diagnosing):
         """The base fit; its anchor is that of the sets to come, whose fits begin where it ended, if it is trusted."""
         first = self.shared.ground
         if first is not None and first.fit.trusted:
-            return refitted(replace(first.fit.problem, images=self.observed.images), first.fit.values)
+            self.shared.frozen = self.shared.frozen or frozen_at(first.fit.problem, first.fit.values)
+            found = refitted(replace(self.shared.frozen, images=self.observed.images), first.fit.values)
+            return thawed(found, first.fit.problem)
         found = super().fitted(model)
         self.shared.anchor = self.shared.anchor or found.problem.anchor
         return found

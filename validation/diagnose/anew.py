@@ -79,11 +79,14 @@ def start_of(problem: Problem, ended: Mapping[str, float]) -> dict[str, float]:
     return placed | {path: float(leaves[path]) for path in problem.unknowns.model_paths}
 
 
-def by_twin(problem: Problem, start: Mapping[str, float]) -> Fit:
-    """As far as the twin alone goes from there in a few steps, with the chip exits of the problem's model."""
+def by_twin(problem: Problem, start: Mapping[str, float], below: float = np.inf) -> Fit:
+    """As far as the twin alone goes from there in a few steps, with the chip exits of the problem's model.
+
+    `below`: a chi2 above which nobody asks for it; where columns no longer promise to come below, it ends.
+    """
     anchor = problem.anchor or Anchored(problem.model, 0)
     lent = replace(problem, anchor=replace(anchor, model=problem.model, histories=0, poses=()))
-    return refitted(lent, start_values(lent, start), TWIN_STEPS)
+    return refitted(lent, start_values(lent, start), TWIN_STEPS, below)
 
 
 def about_its_own(problem: Problem, found: Fit, beside: float = np.inf) -> Fit:

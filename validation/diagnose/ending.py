@@ -127,8 +127,9 @@ def unstuck(found: Refitted, base: Fit) -> Refitted:
     if not has_monte_carlo(problem):
         return found
     ended = problem.unknowns.named(fit.values)
-    begun, stays = by_twin(problem, start_of(problem, ended)), by_twin(problem, ended)
-    if total_chi2(begun) > total_chi2(stays) + OF_NOISE:
+    below = total_chi2(by_twin(problem, ended)) + OF_NOISE
+    begun = by_twin(problem, start_of(problem, ended), below)
+    if total_chi2(begun) > below:
         return found
     anew = about_its_own(problem, begun, found.chi2)
     return found if total_chi2(anew) >= found.chi2 else with_fit(found, anew)

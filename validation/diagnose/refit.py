@@ -212,7 +212,8 @@ def switched(base: Fit, candidate: Candidate) -> Refitted:
 
     Begun where the fit without it ended, or, where that went far to make up for it, where it began: from what fits
     better. Where the twin alone, begun with the model's own values, fits better with it than without, the fit is made
-    anew: beside an anchor in a corner, a right one may fit worse than nothing.
+    anew: beside an anchor in a corner, a right one may fit worse than nothing. What no longer promises to fit better
+    is not fitted to its end.
     """
     paths, ended = base.problem.unknowns.model_paths, base.problem.unknowns.named(base.values)
     problem, near = posed(base.problem, added(base.model, candidate, {}), paths, ended)
@@ -222,11 +223,12 @@ def switched(base: Fit, candidate: Candidate) -> Refitted:
     starts = [(_lending(problem), near), (_lending(begun), anew)]
     residuals = [one.evaluate(values).residual(base.whitening) for one, values in starts]
     problem, values = starts[int(np.argmin([residual @ residual for residual in residuals]))]
-    found = refitted(frozen_at(problem, values), values, STEPS)
+    found = refitted(frozen_at(problem, values), values, STEPS, total_chi2(base))
     settled = found.converged and total_chi2(found) < total_chi2(base) and not has_other_light(problem, found.values)
     if has_monte_carlo(problem) and not settled:
-        own = by_twin(begun, start_of(begun, ended))
-        if total_chi2(own) < total_chi2(without_by_twin(base)) - OF_NOISE:
+        below = total_chi2(without_by_twin(base)) - OF_NOISE
+        own = by_twin(begun, start_of(begun, ended), below)
+        if total_chi2(own) < below:
             own = about_its_own(begun, own, total_chi2(found))
             found = own if total_chi2(own) < total_chi2(found) - OF_NOISE else found
     return Refitted(candidate, 1.0, 0.0, found.residual, total_chi2(found), False, found.model, found)

@@ -40,6 +40,7 @@ LEAST_TAKEN = 0.1  # of a step
 RISE = 30.0  # chi2: what is solved for instead of the least chi2 lies within some errors of it
 POSE_PX = 1e-3
 MAX_ITERATIONS = 40
+PROMISED = 3.0  # times what columns promise: a bent way may gain as much
 TWIN_STEPS = 10  # before there is an anchor: where a model lacks much, more go about a bent valley for nothing
 MAX_DAMPING = 1e6
 MAX_ANCHORS = 3
@@ -114,9 +115,12 @@ def _lent(
     return Anchored(model, 0) if paths or anchor_at is None else anchor_at(model)
 
 
-def refitted(problem: Problem, values: Real, most: int = MAX_ITERATIONS) -> Fit:
-    """The fit of a problem from given values, about the anchor that it has, in so many iterations at most."""
-    return _unclipped(problem, values, most=most)
+def refitted(problem: Problem, values: Real, most: int = MAX_ITERATIONS, below: float = np.inf) -> Fit:
+    """The fit of a problem from given values, about the anchor that it has, in so many iterations at most.
+
+    `below`: what chi2 of data and priors is to reach; where columns no longer promise that, the fit ends as it is.
+    """
+    return _unclipped(problem, values, most=most, below=below)
 
 
 def _quieter_anchor(found: Fit, most_histories: int) -> Anchored | None:
@@ -136,19 +140,21 @@ def _quieter_anchor(found: Fit, most_histories: int) -> Anchored | None:
     )  # fmt: skip
 
 
-def _unclipped(problem: Problem, values: Real, done: int = 0, most: int = MAX_ITERATIONS) -> Fit:
+def _unclipped(
+    problem: Problem, values: Real, done: int = 0, most: int = MAX_ITERATIONS, below: float = np.inf
+) -> Fit:
     """The optimum, without pixels whose mean of several frames may hide a clipped one (their mean is too low)."""
-    found = _descend(problem, values, done, most)
+    found = _descend(problem, values, done, most, below)
     images = []
     for image, signal_dn in zip(problem.images, found.signals_dn, strict=True):
         used = image.used & ~image.may_be_clipped(signal_dn)
         images.append(image if used.sum() in (0, image.used.sum()) else replace(image, used=used))
     if all(new is old for new, old in zip(images, problem.images, strict=True)):
         return found
-    return _descend(replace(problem, images=tuple(images)), found.values, found.iterations, most)
+    return _descend(replace(problem, images=tuple(images)), found.values, found.iterations, most, below)
 
 
-def _descend(problem: Problem, values: Real, done: int, most: int) -> Fit:
+def _descend(problem: Problem, values: Real, done: int, most: int, below: float) -> Fit:
     """Iterates from `values` to the optimum, or as far as it goes."""
     noisy = problem.anchor is not None and problem.anchor.histories > 0
     evaluation, damping, stalled, pace = problem.evaluate(values), 0.0, 0, Pace()
@@ -159,6 +165,8 @@ def _descend(problem: Problem, values: Real, done: int, most: int) -> Fit:
             return _settled(evaluation, iteration)
         if has_converged(problem, reduced, last):
             return conclude(evaluation, white, reduced, columns, last, iteration, True)
+        if reduced.chi2 - PROMISED * (reduced.chi2 - last.chi2) > below:
+            break
         stepped, damping, gained = _step_down(evaluation, white, reduced, columns, damping, pace)
         if stepped is None:  # no step is good: the prediction and its derivatives disagree
             break

@@ -417,7 +417,7 @@ def test_monte_carlo_is_not_asked_where_the_twin_begins_worse(base: Fit, monkeyp
     found = freed(base, score_of(base), slopes_of(base))
     assert found.fit is not None
     at_limit = replace(found, fit=replace(found.fit, at_limit=(HALO,)))
-    predictor, chi2 = Anchors(), iter((120.0, 100.0))
+    predictor, chi2 = Anchors(), iter((100.0, 120.0))
     anchored = replace(base, problem=replace(base.problem, predictor=predictor))
     monkeypatch.setattr(ending, "by_twin", lambda *_: replace(base, chi2=next(chi2)))
     assert unstuck(at_limit, anchored) is at_limit
