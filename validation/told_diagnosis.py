@@ -137,7 +137,7 @@ def _effect(row: Document) -> tuple[str, ...]:
     if row["explained_share_error"] is not None:
         share = f"{100.0 * row['explained_share']:.0f} +- {100.0 * row['explained_share_error']:.0f} %"
     return (
-        row["name"] + ("" if row["plausible"] else " (implausible)"),
+        row["name"] + (f" ({row['why_not']})" if row["why_not"] else ""),
         size_in_words(name, size["value"], size["error"], size["unit"], row["shape"], row["fits_as_well"]),
         f"{row['chi2_drop']:.0f}",
         share,

@@ -23,7 +23,7 @@ BEGINNINGS = {".png": b"\x89PNG", ".pdf": b"%PDF", ".svg": b"<?xml"}
 
 def effect(name: str, drop: float, **changes: Any) -> dict[str, Any]:
     """An effect that was added and fitted."""
-    return {"name": name, "stage": "geometry", "shape": {}, "chi2_drop": drop, "plausible": True,
+    return {"name": name, "stage": "geometry", "shape": {}, "chi2_drop": drop, "plausible": True, "why_not": "",
             "size": {"reflectance": {"value": 0.2812, "error": 0.0104, "unit": ""}},
             "explained_share": 0.97, "explained_share_error": 0.02, "held_out_before": 2.41, "held_out_after": 0.83,
             "held_out_density_change": 1.0, "held_out_density_error": 0.1, "log_evidence": 812.4, "p_left": 0.44,
@@ -52,7 +52,10 @@ def diagnosis(**changes: Any) -> dict[str, Any]:
         "solver": {"method": "anchored", "histories": 4_000_000, "seed": 1},
         "structure": {"p": 0.0001, "p_text": "< 1/10000", "z": 31.0, "statistic": 31.0,
                       "where": [{"shot": "array-0", "family": "field radius", "region": "edge", "z": 31.0}]},
-        "effects": [effect("edge_walls", 1650.0), effect("vignetting", 900.0, plausible=False, log_evidence=None)],
+        "effects": [
+            effect("edge_walls", 1650.0),
+            effect("vignetting", 900.0, plausible=False, why_not="implausible", log_evidence=None),
+        ],
         "scores": [score("edge_walls", 40.6), score("vignetting", -30.0), score("dead_chip", 2.0)],
         "scores_p": 4e-187, "untestable": ["current_crowding"], "set": ["edge_walls", "vignetting"],
         "groups": [["edge_walls", "vignetting"]],

@@ -102,7 +102,9 @@ class Diagnosis:
         only = added[0] if len(added) == 1 else None
         shares = [one.share for one in added] if self.steps[-1].leads_to is not None else []
         p_left = added[-1].p_left if added else 1.0
-        found = concluded(first, only, shares, p_left, self.known, lambda: left_in_words(ground))
+        found = concluded(
+            first, only, shares, p_left, self.known, lambda: left_in_words(ground, self.steps[0].explanations)
+        )
         if len(added) < 2 or found is not first:
             return found
         further = ", ".join(f"{one.name} ({one.size})" for one in added[1:])
@@ -190,7 +192,9 @@ def _step(ground: Ground, effects: Sequence[EffectSpec], means: Means, seed: int
         proposals[:] = means.next_image(fit, [by_name[name] for name in names])
         return next_in_words(proposals, images=bool(fit.problem.images))
 
-    verdict = decided(tried.explanations, len(effects), lambda: left_in_words(ground), next_image, level)
+    verdict = decided(
+        tried.explanations, len(effects), lambda: left_in_words(ground, tried.explanations), next_image, level
+    )
     refits, explanations = tuple(tried.refits), tuple(tried.explanations)
     return Step(ground, scored, alike, refits, explanations, verdict, tuple(proposals))
 

@@ -10,7 +10,7 @@ from validation.contrasts import Region
 from validation.diagnose.ground import Ground
 from validation.diagnose.refit import limits_of
 from validation.diagnose.score import Scores
-from validation.diagnose.verdict import LEVEL
+from validation.diagnose.verdict import FOLLOWS, HALF, LEVEL, Explanation
 from validation.fit import Fit
 from validation.fit.image_fit import WORTH_MORE
 from validation.fit.result import MOST_HISTORIES, wanted_histories
@@ -60,14 +60,26 @@ def more_in_words(fit: Fit) -> str:
     )
 
 
-def left_in_words(ground: Ground, most: int = FEW) -> str:
-    """What is left: the regions that are least like noise, and on which samples it depends."""
+def left_in_words(ground: Ground, tried: Sequence[Explanation] = (), most: int = FEW) -> str:
+    """What is left: the regions that are least like noise, on which samples it depends, what follows the field."""
     regions = [f"{one.z:+.1f} sigma at {one.place}" for one in _distinct(ground.structure.where)[:most]]
     by_pairs: dict[float, list[float]] = {}
     for image in ground.fit.problem.images:
         by_pairs.setdefault(image.sample.dbr_pairs, []).append(ground.structure.shots[image.shot.id].z)
     pairs = ", ".join(f"{n:g} pairs z {max(z):.1f}" for n, z in sorted(by_pairs.items()))
-    return "; ".join(regions) + (f"; by DBR: {pairs}." if len(by_pairs) > 1 else ".")
+    return "; ".join(regions) + (f"; by DBR: {pairs}." if len(by_pairs) > 1 else ".") + _of_field_in_words(tried)
+
+
+def _of_field_in_words(tried: Sequence[Explanation]) -> str:
+    """That a group would take most of it, but for where its members are: a hint at camera and optics."""
+    found = [one for one in tried if one.why_not == FOLLOWS and one.share.value > HALF]
+    best = max(found, key=lambda one: one.drop, default=None)
+    if best is None:
+        return ""
+    return (
+        f" {best.name} would take {100.0 * best.share.value:.0f} % of it, but chips by chance do not follow the field"
+        f" as it asks (p {best.by_place:.2g}): look at the camera and the optics."
+    )
 
 
 def _distinct(regions: Sequence[Region]) -> list[Region]:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from luxloop.effect import EffectSpec
 from validation.diagnose import held_out as held
+from validation.diagnose.by_place import chance_by_place
 from validation.diagnose.ending import beside, finished, is_stuck, unstuck
 from validation.diagnose.evidence import group_log_evidence, log_evidence
 from validation.diagnose.frozen import slopes_of
@@ -24,7 +25,7 @@ from validation.diagnose.refit import (
     whole_of,
 )
 from validation.diagnose.score import Candidate, EffectScore, Projected, Scores
-from validation.diagnose.verdict import ALIKE, Explanation
+from validation.diagnose.verdict import ALIKE, Explanation, follows_field
 from validation.effects.confounding import Confounding, left_beside
 from validation.effects.known import is_smooth
 from validation.fit import Fit
@@ -182,6 +183,7 @@ def _explanation(
         others = [rival for rival in rivals if rival != score.name]
         beside = {rival: left_beside(own, [columns[rival]]) for rival in others}
     change, percents = _held_out(base, found, candidate.effect)
+    by_place = _by_place(base, candidate) if candidate.is_group else None
     return Explanation(
         name=score.name,
         parameter=candidate.parameter.name,
@@ -195,13 +197,22 @@ def _explanation(
         held_out=change,
         held_out_percent=percents,
         log_evidence=_log_evidence(ground, found, drop, columns[score.name]),
-        plausible=not found.at_limit and drop > 0.0,
+        plausible=not found.at_limit and drop > 0.0 and not follows_field(by_place),
         has_members=candidate.is_group,
+        by_place=by_place,
         distrust=base.distrust if found.fit is None else found.fit.distrust,
         p_left=ground.judged(found.residual).p,
         sigma=length,
         sigma_rival=beside,
     )
+
+
+def _by_place(base: Fit, candidate: Candidate) -> float:
+    """The chance that a group's members follow the field by chance (`chance_by_place`)."""
+    samples = {image.sample.id: image.sample for image in base.problem.images}.values()
+    grids = [(one.rows, one.columns) for one in samples if one.layout == "array" and one.rows * one.columns > 1]
+    _, upper = limits_of(candidate.parameter)
+    return chance_by_place(left_of(base, candidate), base.residual, upper, grids)
 
 
 def _log_evidence(ground: Ground, found: Refitted, drop: float, columns: Real) -> float | None:

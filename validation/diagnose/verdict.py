@@ -40,6 +40,7 @@ ENOUGH = 0.8
 """Of the structure: what effects that are said to explain the misfit explain together, where some of it is left."""
 ALIKE = 0.10
 """Effects that explain within this of the best are in the set."""
+FOLLOWS = "follows the field"
 NOISE_SIGMA, NOISE_DROP = 2.0, 9.0
 """Noise may have put one of two weak effects first whose falls of chi2 differ by less than this, and their square
 roots, which have noise of 1 each, by less than that."""
@@ -67,9 +68,11 @@ class Explanation:
     """Rms error before and after."""
     log_evidence: float | None
     plausible: bool
-    """Inside its range, not at an end of it."""
+    """Inside its range, not at an end of it; of a group, that its members do not follow the field."""
     has_members: bool
     """A group: a number for each chip."""
+    by_place: float | None
+    """Chance that members of a group follow the field as closely, while chips know nothing of it; None: no group."""
     distrust: tuple[str, ...]
     """Why the fit with it may not be trusted: a parameter that a missing effect drives to its limit stays there."""
     p_left: float
@@ -80,9 +83,19 @@ class Explanation:
     """The same also after each rival."""
 
     @property
+    def why_not(self) -> str:
+        """Why it is not named, in a word or two; "" where it may be."""
+        return "" if self.plausible else FOLLOWS if follows_field(self.by_place) else "implausible"
+
+    @property
     def size(self) -> str:
         """For people."""
         return size_in_words(self.parameter, self.value, self.error, self.unit, dict(self.shape), self.as_well)
+
+
+def follows_field(by_place: float | None, level: float = LEVEL) -> bool:
+    """Whether a group's members follow the field so closely that it is no doing of chips."""
+    return by_place is not None and by_place < level / 2.0
 
 
 def size_in_words(
@@ -194,10 +207,10 @@ def none_of_the_known(known: int, share: float, left: str) -> Verdict:
 def leaves_too_much(p_left: float, shares: Sequence[Share], level: float = LEVEL) -> bool:
     """Whether structure is left with all effects that were kept, and they explain too little for it to be noise.
 
-    `shares`: of the structure that each round found. Never where one of them is known too badly to decide.
+    `shares`: of the structure that each round found, each with one of its errors in its favour.
     """
     left = math.prod(1.0 - min(max(one.value + one.error, 0.0), 1.0) for one in shares)
-    return p_left < level / 2.0 and all(one.decides for one in shares) and 1.0 - left < ENOUGH
+    return p_left < level / 2.0 and 1.0 - left < ENOUGH
 
 
 def concluded(

@@ -196,6 +196,7 @@ def test_what_explains_a_part_and_leaves_the_rest_is_none_of_the_known() -> None
     part, guess, rest = leaving(1e-4, 0.57), leaving(1e-4, 0.01, 0.4), leaving(0.3, 0.9)
     assert trusted([part, guess]) == [part]
     assert trusted([part, rest]) == [part, rest]
+    assert Diagnosis((leaving(1e-4, 0.57, 0.2),), 6).verdict.word == "none_of_the_known"
     verdict = Diagnosis((part,), 6).verdict
     assert verdict.word == "none_of_the_known"
     assert verdict.sentence.startswith("None of the 6 known effects explains this (best: 57 %). What is left: ")
@@ -205,7 +206,7 @@ def test_what_explains_a_part_and_leaves_the_rest_is_none_of_the_known() -> None
     assert again is not None
     assert (again.word, again.set) == ("none_of_the_known", ())
     group = replace(part, refits=tuple(replace(one, fit=None) for one in part.refits))  # nothing can follow it
-    for stands in ((part, rest), (leaving(1e-4, 0.9),), (leaving(1e-4, 0.57, 0.2),), (leaving(0.3, 0.57),), (group,)):
+    for stands in ((part, rest), (leaving(1e-4, 0.9),), (leaving(1e-4, 0.57, 0.3),), (leaving(0.3, 0.57),), (group,)):
         assert Diagnosis(stands, 6).verdict.word == step.verdict.word
         told = document(Diagnosis(stands, 6), 1)
         again = verdict_of(told, [explanation_of(row) for row in told["effects"]])
