@@ -16,11 +16,11 @@ class CurrentCrowding(SceneEffect):
     name = "current_crowding"
     stage = "emission"
     formula = "emission x (1 + c1 x/W + c2 (4 r^2/W^2 - 2/3)), whose mean is 1; x, r from the chip's centre"
-    reference = "lateral spreading of current (Guo, Schubert, J. Appl. Phys. 90, 4191, 2001); judgement for the range"
+    reference = "lateral spreading of current (Guo, Schubert, J. Appl. Phys. 90, 4191, 2001); judgement for the rim"
     walks = True
     conserves = ("energy",)
 
-    rise: float = parameter("c1, the rise from one side to the other", unit="", lower=-0.3, upper=0.3, off=0.0)
+    rise: float = parameter("c1, the rise from one side to the other", unit="", lower=-0.6, upper=0.6, off=0.0)
     rim: float = parameter("c2, how much more there is at the rim", unit="", lower=-0.3, upper=0.3, off=0.0)
 
     def scene(self, scene: Scene) -> Scene:

@@ -12,9 +12,9 @@ class Nonlinearity(DetectorEffect):
     name = "nonlinearity"
     rank = 1  # of all light that arrives
     formula = "y -> y (1 - b y / ymax), ymax the full scale"
-    reference = "EMVA 1288 release 4.0, linearity error"
+    reference = "EMVA 1288 release 4.0, linearity error; a power of 1.05 bends as 0.1 does"
 
-    bend: float = parameter("b, the share missing at full scale", unit="", lower=-0.05, upper=0.05, off=0.0)
+    bend: float = parameter("b, the share missing at full scale", unit="", lower=-0.1, upper=0.1, off=0.0)
 
     def signal(self, signal_dn: Real, camera: Camera) -> Real:
         """The bent signal."""

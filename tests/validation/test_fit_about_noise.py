@@ -224,10 +224,16 @@ def test_the_last_anchor_takes_as_many_histories_as_its_noise_asks_for():
 
 @pytest.mark.parametrize(
     ("move", "most", "histories"),
-    [(1.0, 0, [1000] * 3), (1.0, 1200, [1000, 1000, 1200]), (9.0, 1200, [1000] * 3 + [1200]), (0.1, 0, [1000])],
+    [
+        (1.0, 0, [250, 1000, 1000]),
+        (1.0, 1200, [250, 1000, 1200]),
+        (9.0, 1200, [250, 1000, 1000, 1200]),
+        (0.1, 0, [250, 1000]),
+    ],
 )
 def test_the_last_anchor_is_one_of_three_where_the_fit_is_near(monkeypatch, move, most, histories):
-    """A fit that goes on moving has three anchors; two lead to one of more histories, if it is near by then."""
+    """A fit that goes on moving has three anchors, the first of few histories, where the twin has led; two lead to
+    one of more histories, if it is near by then."""
     monkeypatch.setattr(image_fit, "moved", lambda *_: move)
     predictor = Spots({SINGLE.id: _waves(SINGLE, 0.002), ARRAY.id: _waves(ARRAY, 0.004)})
     fit(MODEL, two_images(), predictor, anchor_at=lambda model: Anchored(model, 1000), most_histories=most)

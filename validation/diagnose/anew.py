@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from validation.diagnose.frozen import frozen_at
 from validation.fit import Fit, prior_chi2, refitted
-from validation.fit.image_fit import ANCHOR_MOVE, MAX_ANCHORS, TWIN_STEPS, moved
+from validation.fit.image_fit import ANCHOR_MOVE, MAX_ANCHORS, NEAR, TWIN_STEPS, first_of, moved
 from validation.fit.problem import Problem
 from validation.fit.start import start_values
 from validation.prediction import Anchored
@@ -92,19 +92,23 @@ def by_twin(problem: Problem, start: Mapping[str, float], below: float = np.inf)
 def about_its_own(problem: Problem, found: Fit, beside: float = np.inf) -> Fit:
     """The fit about Monte Carlo at what a fit has found, and anew where that moves it.
 
-    By a few histories until it stays, and once by as many as the problem's anchor has, where those are more and chi2
-    is not above that of what it stands `beside`: more histories tell less noise, and what is wrong costs more then.
+    By a few histories until it stays, where the twin has led by fewer still, and once by as many as the problem's
+    anchor has, where those are more (so that the one before may be some errors away) and chi2 is not above that of
+    what it stands `beside`: more histories tell less noise, and what is wrong costs more then.
     Derivatives are taken once with each anchor: those of effects are a walk for each moved chip.
     """
     anchor = problem.anchor
     if anchor is None:
         raise ValueError("a fit about Monte Carlo needs an anchor to take histories and seed from")
-    few = min(anchor.histories, ON_THE_WAY)
-    for _ in range(MAX_ANCHORS):
-        before, found = found, _about(problem, found, replace(anchor, histories=few))
-        if found.converged and moved(found, before, problem.unknowns.model_paths) <= ANCHOR_MOVE:
+    few = replace(anchor, histories=min(anchor.histories, ON_THE_WAY))
+    last = few.histories == anchor.histories
+    found = _about(problem, found, first_of(few))
+    for _ in range(MAX_ANCHORS - 1):
+        before, found = found, _about(problem, found, few)
+        move = moved(found, before, problem.unknowns.model_paths)
+        if found.converged and move <= (ANCHOR_MOVE if last else NEAR):
             break
-    if few < anchor.histories and total_chi2(found) < beside + OF_TWO_RUNS:
+    if not last and total_chi2(found) < beside + OF_TWO_RUNS:
         found = _about(problem, found, anchor)
     return thawed(found, problem)
 

@@ -108,14 +108,14 @@ def is_stuck(found: Refitted, base: Fit) -> bool:
     """Whether a parameter that the base fit moves, too, and all samples have in common, is held at its limit."""
     if found.fit is None or found.at_limit or found.candidate.is_switch or not is_smooth(found.candidate.effect):
         return False
-    shared = {path for path in base.problem.unknowns.model_paths if not path.startswith(LEAD)}
-    return not shared.isdisjoint(found.fit.at_limit)
+    return bool(_held(found.fit, base))
 
 
 def unstuck(found: Refitted, base: Fit) -> Refitted:
     """The same from where the model began, not from where it went to make up for the effect, if that fits better.
 
-    By the twin first, from there and from where it is: Monte Carlo is asked only where that begins to fit better.
+    By the twin first, from there and from where it is: Monte Carlo is asked only where the way from there leads out
+    of the corner, and fits about as well.
     """
     fit = found.fit
     if fit is None:
@@ -127,12 +127,19 @@ def unstuck(found: Refitted, base: Fit) -> Refitted:
     if not has_monte_carlo(problem):
         return found
     ended = problem.unknowns.named(fit.values)
-    below = total_chi2(by_twin(problem, ended)) + OF_NOISE
-    begun = by_twin(problem, start_of(problem, ended), below)
-    if total_chi2(begun) > below:
+    begun = by_twin(problem, start_of(problem, ended))
+    if _held(fit, base) <= _held(begun, base):  # it is no corner: the model goes there with the effect, too
+        return found
+    if total_chi2(begun) > total_chi2(by_twin(problem, ended)) + OF_NOISE:
         return found
     anew = about_its_own(problem, begun, found.chi2)
     return found if total_chi2(anew) >= found.chi2 else with_fit(found, anew)
+
+
+def _held(found: Fit, base: Fit) -> set[str]:
+    """What a fit has at its limit of the base fit's parameters that all samples have in common."""
+    shared = {path for path in base.problem.unknowns.model_paths if not path.startswith(LEAD)}
+    return shared & set(found.at_limit)
 
 
 def _best_words(found: Refitted, problem: Problem, own: Fit) -> tuple[Fit, tuple[Words, ...]]:

@@ -7,8 +7,9 @@ image goes with its square has the slope 2 p times that of p^2.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,8 +38,9 @@ class FrozenImages:
     """Paths whose slopes are by the square."""
     lines: frozenset[str] = frozenset()
     """Effects that the twin cannot represent: the image is a straight line from where the anchor has them."""
-    others: Slopes | None = None
-    """The same slopes by the exits of another walk inside the chips; none: the same stand in for them."""
+    others: Callable[[], Slopes] | None = None
+    """The same slopes by the exits of another walk inside the chips, asked for by who needs them; none: the same
+    stand in for them."""
     exit_seed: int = 1
     """Of the walk of `slopes`."""
 
@@ -50,7 +52,8 @@ class FrozenImages:
         wanted = [path for path in paths if path in self.slopes]
         found = self.predictor.images(asked, views, [path for path in paths if path not in wanted], anchor)
         factors = {path: _factor(model, path, self.squares) for path in wanted}
-        walk = self.slopes if self.others is None or _walk(anchor) == self.exit_seed else self.others
+        same = self.others is None or not wanted or _walk(anchor) == self.exit_seed
+        walk = self.slopes if same or self.others is None else self.others()
         affected = []
         for number, one in enumerate(found):
             slopes = {path: factors[path] * walk[path][number] for path in wanted}
@@ -129,7 +132,7 @@ def slopes_of(fit: Fit) -> dict[str, list[Real]]:
 def frozen_at(problem: Problem, values: Real) -> Problem:
     """The problem with the derivatives by its model that it has at these values, those of a second walk too."""
     at = problem.evaluate(values)
-    slopes, others = _slopes(at, at.predicted), _slopes(at, at.others())
+    slopes, others = _slopes(at, at.predicted), cache(lambda: _slopes(at, at.others()))
     images = FrozenImages(problem.predictor, slopes, frozenset(), others=others, exit_seed=_walk(problem.anchor))
     curves = problem.predict_curves
     frozen = None if curves is None else FrozenCurves(curves, slopes, frozenset(), len(problem.images))
@@ -140,7 +143,8 @@ def without(problem: Problem, path: str) -> Problem:
     """A problem that is frozen, but for the derivatives by one path, which are asked for again."""
     images, curves = problem.predictor, problem.predict_curves
     if isinstance(images, FrozenImages):
-        others = None if images.others is None else _but(images.others, path)
+        known = images.others
+        others = None if known is None else cache(lambda: _but(known(), path))
         images = replace(images, slopes=_but(images.slopes, path), others=others)
     if isinstance(curves, FrozenCurves):
         curves = replace(curves, slopes=_but(curves.slopes, path))

@@ -44,6 +44,7 @@ PROMISED = 3.0  # times what columns promise: a bent way may gain as much
 TWIN_STEPS = 10  # before there is an anchor: where a model lacks much, more go about a bent valley for nothing
 MAX_DAMPING = 1e6
 MAX_ANCHORS = 3
+AT_FIRST = 4  # times fewer histories, for the anchor where the twin has led: the next one is elsewhere
 WORTH_MORE = 1.2  # times as many histories: for fewer no anchor is made anew
 NEAR = 2.0  # errors from its anchor: nearer, the last one, of more histories, may be the next
 ANCHOR_MOVE = 0.3  # of a parameter's error: further from its anchor, the anchor is renewed
@@ -90,8 +91,12 @@ def fit(
         anchor = anchor_at(found.model) if anchor_at is not None else None
         if anchor is None:
             break
-        anchored = replace(found.problem, anchor=replace(anchor, poses=tuple(found.poses.values())))
+        begins = bool(paths) and further == MAX_ANCHORS - 1 and anchor.model == found.model
+        anchor = replace(anchor, poses=tuple(found.poses.values()))
+        anchored = replace(found.problem, anchor=first_of(anchor) if begins else anchor)
         at_anchor, found = found, _unclipped(anchored, found.values, found.iterations)
+        if begins:
+            continue
         move = moved(found, at_anchor, paths) if found.converged else np.inf
         if move < ANCHOR_MOVE:
             break
@@ -101,6 +106,11 @@ def fit(
     if quieter is None:
         return found
     return _unclipped(replace(found.problem, anchor=quieter), found.values, found.iterations)
+
+
+def first_of(anchor: Anchored) -> Anchored:
+    """With fewer histories, where the twin has led: by what it errs a fit moves by more than their noise moves it."""
+    return replace(anchor, histories=-(-anchor.histories // AT_FIRST))
 
 
 def _lent(
@@ -166,7 +176,7 @@ def _descend(problem: Problem, values: Real, done: int, most: int, below: float)
         if has_converged(problem, reduced, last):
             return conclude(evaluation, white, reduced, columns, last, iteration, True)
         if reduced.chi2 - PROMISED * (reduced.chi2 - last.chi2) > below:
-            break
+            return conclude(evaluation, white, reduced, columns, last, iteration, False)
         stepped, damping, gained = _step_down(evaluation, white, reduced, columns, damping, pace)
         if stepped is None:  # no step is good: the prediction and its derivatives disagree
             break
