@@ -42,8 +42,9 @@ from validation.contrasts.null import Variances, null
 from validation.contrasts.structure import fit_layout, fit_projection, judged
 from validation.dataset.manifest import CameraFacts, ImageShot, Sample
 from validation.dataset.simulate import DECLARED, expected_images, paper_plan, views_of
+from validation.diagnose.explanation import LEVEL
 from validation.diagnose.score import Projected, scores
-from validation.diagnose.verdict import LEVEL, is_visible
+from validation.diagnose.verdict import is_visible
 from validation.diagnosing import Diagnosing
 from validation.effects.known import Known
 from validation.fit import Fit, fit

@@ -18,10 +18,10 @@ from luxloop.errors import InputError
 from luxloop.model import Model
 from luxloop.model_file import diff, parse_toml
 from validation.diagnose.explained import Share
+from validation.diagnose.explanation import Explanation
 from validation.diagnose.held_out import Change
 from validation.diagnose.ladder import BEFORE, Rung
 from validation.diagnose.verdict import (
-    Explanation,
     Verdict,
     concluded,
     decided,

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from itertools import groupby
 from typing import Any
 
-from validation.diagnose.verdict import size_in_words
+from validation.diagnose.explanation import size_in_words
 from validation.told import table
 
 Document = Mapping[str, Any]

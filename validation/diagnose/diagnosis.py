@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from luxloop.effect import EffectSpec
+from validation.diagnose.explanation import LEVEL, Explanation
 from validation.diagnose.ground import Ground
 from validation.diagnose.in_words import left_in_words, limits_in_words, more_in_words
 from validation.diagnose.next_measurement import Proposal, next_in_words
@@ -23,8 +24,6 @@ from validation.diagnose.score import Candidate, Projected, Scores, scores
 from validation.diagnose.tried import GroundOf, MembersFit, Progress, Tried, columns_of, short_list
 from validation.diagnose.verdict import (
     HALF,
-    LEVEL,
-    Explanation,
     Verdict,
     concluded,
     decided,

@@ -13,6 +13,7 @@ from validation.diagnose import held_out as held
 from validation.diagnose.by_place import chance_by_place
 from validation.diagnose.ending import beside, finished, is_stuck, unstuck
 from validation.diagnose.evidence import group_log_evidence, log_evidence
+from validation.diagnose.explanation import Explanation, follows_field
 from validation.diagnose.frozen import slopes_of
 from validation.diagnose.ground import Ground
 from validation.diagnose.refit import (
@@ -25,7 +26,7 @@ from validation.diagnose.refit import (
     whole_of,
 )
 from validation.diagnose.score import Candidate, EffectScore, Projected, Scores
-from validation.diagnose.verdict import ALIKE, Explanation, follows_field
+from validation.diagnose.verdict import ALIKE
 from validation.effects.confounding import Confounding, left_beside
 from validation.effects.known import is_smooth
 from validation.fit import Fit

@@ -6,7 +6,8 @@
                           share is known to no better than 0.15), or lowers chi2 by no more than noise does of so
                           many effects (14 of 32), and structure is left; or all that was kept, round
                           by round, explains less than 0.8, and structure is left; or a group is all that was kept,
-                          and structure is left: with a number for each chip it takes most of anything
+                          and structure is left: with a number for each chip it takes most of anything (one whose
+                          members follow the field is not even tried: chips know nothing of it)
     cannot_tell_apart     a rival explains nearly as much, and less than 5 sigma would be left of the one beside it,
                           or the two fits are nearer to each other than that
     one_effect            else
@@ -21,100 +22,26 @@ not seen, and whether rivals can be told apart. Chi2 only ranks.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 from scipy.stats import chi2 as chi2_of
 
-from luxloop.effect import Value
 from validation.diagnose.explained import Share
-from validation.diagnose.held_out import Change
+from validation.diagnose.explanation import LEVEL, Explanation
 from validation.effects.confounding import TOLD_APART
 
 Word = Literal["nothing_visible", "one_effect", "cannot_tell_apart", "none_of_the_known", "fit_not_trustworthy"]
 
-LEVEL = 0.01
 HALF = 0.5
 ENOUGH = 0.8
 """Of the structure: what effects that are said to explain the misfit explain together, where some of it is left."""
 ALIKE = 0.10
 """Effects that explain within this of the best are in the set."""
-FOLLOWS = "follows the field"
 NOISE_SIGMA, NOISE_DROP = 2.0, 9.0
 """Noise may have put one of two weak effects first whose falls of chi2 differ by less than this, and their square
 roots, which have noise of 1 each, by less than that."""
-
-
-@dataclass(frozen=True)
-class Explanation:
-    """What one effect came to when it was added and fitted."""
-
-    name: str
-    parameter: str
-    unit: str
-    value: float
-    error: float
-    shape: tuple[tuple[str, Value], ...]
-    """What only shapes it, as it was fitted."""
-    as_well: tuple[tuple[str, ...], ...]
-    """Other words of its shape, with which it fits as well."""
-    drop: float
-    """Of chi2."""
-    share: Share
-    held_out: Change | None
-    """None: a held-out test is not possible."""
-    held_out_percent: tuple[float, float] | None
-    """Rms error before and after."""
-    log_evidence: float | None
-    plausible: bool
-    """Inside its range, not at an end of it; of a group, that its members do not follow the field."""
-    has_members: bool
-    """A group: a number for each chip."""
-    by_place: float | None
-    """Chance that members of a group follow the field as closely, while chips know nothing of it; None: no group."""
-    distrust: tuple[str, ...]
-    """Why the fit with it may not be trusted: a parameter that a missing effect drives to its limit stays there."""
-    p_left: float
-    """Of the structure that is left."""
-    sigma: float
-    """Length of its whitened image after what is fitted has been projected out."""
-    sigma_rival: dict[str, float]
-    """The same also after each rival."""
-
-    @property
-    def why_not(self) -> str:
-        """Why it is not named, in a word or two; "" where it may be."""
-        return "" if self.plausible else FOLLOWS if follows_field(self.by_place) else "implausible"
-
-    @property
-    def size(self) -> str:
-        """For people."""
-        return size_in_words(self.parameter, self.value, self.error, self.unit, dict(self.shape), self.as_well)
-
-
-def follows_field(by_place: float | None, level: float = LEVEL) -> bool:
-    """Whether a group's members follow the field so closely that it is no doing of chips."""
-    return by_place is not None and by_place < level / 2.0
-
-
-def size_in_words(
-    parameter: str,
-    value: float,
-    error: float | None,
-    unit: str,
-    shape: Mapping[str, Value],
-    as_well: Sequence[Sequence[str]] = (),
-) -> str:
-    """A size and what shapes it: "edge_loss 0.078 +- 0.0028 (law cos4; as well: quadratic)"; a switch's word."""
-    if parameter in shape:
-        return ", ".join(f"{name} {one}" for name, one in shape.items())
-    known = "" if error is None or not math.isfinite(error) else f" +- {error:.2g}"
-    shaped = ", ".join(
-        f"{name} {one:.4g}" if isinstance(one, float) else f"{name} {one}" for name, one in shape.items()
-    )
-    others = f"; as well: {', '.join(' '.join(words) for words in as_well)}" if as_well else ""
-    return f"{parameter} {value:.3g}{known} {unit}".rstrip() + (f" ({shaped}{others})" if shaped else "")
 
 
 @dataclass(frozen=True)

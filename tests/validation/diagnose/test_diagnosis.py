@@ -40,13 +40,13 @@ from validation.diagnose.document import document, effect_document
 from validation.diagnose.ending import finished
 from validation.diagnose.evidence import group_log_evidence
 from validation.diagnose.explained import Share
+from validation.diagnose.explanation import LEVEL
 from validation.diagnose.frozen import slopes_of
 from validation.diagnose.held_out import same_rows
 from validation.diagnose.in_words import FEW, limits, limits_in_words, more_in_words
 from validation.diagnose.ladder import Rung
 from validation.diagnose.refit import refit
 from validation.diagnose.score import Projected, scores
-from validation.diagnose.verdict import LEVEL
 from validation.fit import NOT_CONVERGED, Fit, fit
 from validation.fit.parameters import free_paths
 from validation.prediction import Anchored

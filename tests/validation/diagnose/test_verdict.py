@@ -7,7 +7,8 @@ from dataclasses import replace
 import pytest
 
 from validation.diagnose.explained import Share
-from validation.diagnose.verdict import Explanation, decided
+from validation.diagnose.explanation import Explanation
+from validation.diagnose.verdict import decided
 
 
 def explanation(name: str, drop: float, share: Share, beside: dict[str, float]) -> Explanation:
