@@ -30,7 +30,15 @@ another Monte Carlo, and so within an error of it: an anchor moved by 0.4 of one
 (decision 27)."""
 
 
+@pytest.fixture
+def one_set(settings: Settings) -> Iterator[None]:
+    """Processes that stay from command to command: what one has had computed the next need not."""
+    with local_set(settings):
+        yield
+
+
 @pytest.mark.slow
+@pytest.mark.usefixtures("one_set")
 def test_the_wafers_spread_is_named_and_the_error_falls_to_the_noise(settings: Settings, tmp_path: Path) -> None:
     """Spectra by tmm of a film that is not even; the page's sentence is the one that is said."""
     tutorial = (HOUSE / "docs" / "tutorial-spectra.md").read_text(encoding="utf-8")
@@ -48,13 +56,6 @@ def test_the_wafers_spread_is_named_and_the_error_falls_to_the_noise(settings: S
     assert after["structure"]["p"] > 0.05
     rungs = told(settings, tmp_path, "ladder", *model)["rungs"]
     assert [rung["effects"] for rung in rungs] == [[], ["film_thickness_spread"]]
-
-
-@pytest.fixture
-def one_set(settings: Settings) -> Iterator[None]:
-    """Processes that stay from command to command: what one has had computed the next need not."""
-    with local_set(settings):
-        yield
 
 
 @pytest.mark.slow

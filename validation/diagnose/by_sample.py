@@ -19,8 +19,9 @@ from luxloop.effect import EffectParameter, EffectSpec, Value
 from luxloop.errors import InputError
 from luxloop.model import Fit as Limits
 from luxloop.model import Model
+from validation.diagnose.evidence import drawn_back
 from validation.diagnose.frozen import slopes_of
-from validation.diagnose.refit import LEAST_SHARE, drawn_back, limits_of, posed, with_slopes
+from validation.diagnose.refit import LEAST_SHARE, limits_of, posed, with_slopes
 from validation.effects.known import acting, applied, is_smooth, off_values, shapes_of, with_effect
 from validation.effects.signatures import Column, Projection
 from validation.fit import Fit, refitted

@@ -36,3 +36,16 @@ def logs_of_spreads(along: Real, size: Real, spreads: Real) -> Real:
     """ln of the likelihood ratio of each spread against none: (member,) products along the gram's axes, its sizes."""
     gain = 1.0 + np.outer(spreads**2, size)
     return np.asarray(0.5 * np.sum(spreads[:, None] ** 2 * along**2 / gain - np.log(gain), axis=1))
+
+
+def drawn_back(rows: Real, residual: Real, largest: float) -> tuple[float, Real, float]:
+    """The most likely spread of a group's members, the members (member,) with it, and ln of its likelihood ratio.
+
+    `rows` (member, row): their columns, less what the fit's own parameters do; `largest`: spread that is tried.
+    """
+    size, axes = np.linalg.eigh(rows @ rows.T)
+    size, along = np.maximum(size, 0.0), axes.T @ (rows @ residual)
+    spreads = largest * np.geomspace(1e-4, 1.0, 400)
+    logs = logs_of_spreads(along, size, spreads)
+    best = float(spreads[int(np.argmax(logs))])
+    return best, axes @ (best**2 * along / (1.0 + best**2 * size)), float(logs.max())

@@ -28,7 +28,7 @@ from validation.diagnose.anew import (
     start_of,
     total_chi2,
 )
-from validation.diagnose.evidence import logs_of_spreads
+from validation.diagnose.evidence import drawn_back
 from validation.diagnose.frozen import FrozenCurves, FrozenImages, Slopes, frozen_at
 from validation.effects.known import applied, is_smooth, off_values, with_effect
 from validation.fit import Fit, prior_chi2, refitted, unknowns_of
@@ -141,9 +141,22 @@ def refit(base: Fit, score: Score, slopes: Slopes) -> Refitted:
 def freed(base: Fit, score: Score, slopes: Slopes) -> Refitted:
     """The effect's parameters that act are more unknowns, begun where their columns expect them, all else beside.
 
-    Or half as far from off, as often as the images there are worse than without it: beyond a straight line's reach.
+    One that goes to the end of its range beside the one that scored is left off, where the others stay inside so:
+    what the data hardly know takes of anything, and another effect may be missing, too.
     """
     tried = acting_together(base, score.candidate)
+    found = _freed(base, score, slopes, tried)
+    ended = () if found.fit is None else found.fit.at_limit
+    inside = [one for one, path in zip(tried, found.paths, strict=True) if path not in ended]
+    if inside[:1] != tried[:1] or len(inside) == len(tried):
+        return found
+    fewer = _freed(base, score, slopes, inside)
+    return found if fewer.at_limit else fewer
+
+
+def _freed(base: Fit, score: Score, slopes: Slopes, tried: Sequence[Candidate]) -> Refitted:
+    """The same with these parameters; begun half as far from off, as often as the images there are worse than without
+    the effect: beyond a straight line's reach."""
     candidate = replace(score.candidate, others=tuple(tried[1:]))
     sizes = [score.size] if len(tried) == 1 else _sizes(base, tried)
     paths = [path_of(one.effect.name, one.parameter.name) for one in tried]
@@ -262,19 +275,6 @@ def spread(base: Fit, candidate: Candidate) -> Refitted:
         candidate, best, 1.0 / np.sqrt(curvature) if curvature > 0.0 else np.inf, base.residual - members @ rows,
         total_chi2(base) - 2.0 * max(log, 0.0), best >= upper, None, None,
     )  # fmt: skip
-
-
-def drawn_back(rows: Real, residual: Real, largest: float) -> tuple[float, Real, float]:
-    """The most likely spread of a group's members, the members (member,) with it, and ln of its likelihood ratio.
-
-    `rows` (member, row): their columns, less what the fit's own parameters do; `largest`: spread that is tried.
-    """
-    size, axes = np.linalg.eigh(rows @ rows.T)
-    size, along = np.maximum(size, 0.0), axes.T @ (rows @ residual)
-    spreads = largest * np.geomspace(1e-4, 1.0, 400)
-    logs = logs_of_spreads(along, size, spreads)
-    best = float(spreads[int(np.argmax(logs))])
-    return best, axes @ (best**2 * along / (1.0 + best**2 * size)), float(logs.max())
 
 
 def with_fit(found: Refitted, fit: Fit) -> Refitted:

@@ -12,6 +12,7 @@ from luxloop.effect import AppliedEffect
 from luxloop.journal.reader import RunJournal
 from luxloop.model_file import find_model, read_model, to_toml
 from luxloop.settings import Settings
+from tests.running_set import local_set
 from tests.validation.test_loop import luxloop
 
 PLAN = """
@@ -89,43 +90,47 @@ def test_a_hidden_effect_is_named_added_and_taken_out_again(settings: Settings, 
     truth = find_model("paper").model_copy(update={"effects": (hidden,)})
     (tmp_path / "truth.toml").write_text(to_toml(truth), encoding="utf-8")
     (tmp_path / "plan.toml").write_text(PLAN, encoding="utf-8")
-    made = ("dataset", "simulate", "data", "--model", "truth.toml", "--plan", "plan.toml", "--pixels", "42")
-    told(settings, tmp_path, *made, "--solver", "twin")
-    told(settings, tmp_path, "compare", "data", "--twin")
-    free = ("--free", "environment.substrate.reflectance")
-    seen = "vignetting,magnification,camera_psf,veiling_glare,edge_walls,dbr_index_error,receiver_btdf,dead_chip"
-    among = f"{seen},film_interlayer"
-    found = told(settings, tmp_path, "diagnose", "--twin", *free, "--among", among)
-    assert found["not_tested"] == ["film_interlayer: there are no spectra of films"]
-    assert (found["verdict"], found["set"][0]) in (("one_effect", "vignetting"), ("cannot_tell_apart", "vignetting"))
-    best = next(one for one in found["effects"] if one["name"] == "vignetting")
-    size = best["size"]["corner_loss"]
-    assert abs(size["value"] - 0.15) < 3.0 * size["error"]
-    assert best["held_out_after"] < best["held_out_before"]
-    journal = RunJournal(Path(found["folder"]))
-    (step,) = (one.value for one in journal.records("/validation") if one.value.command == "diagnose")
-    assert step.document["sentence"] == found["sentence"]
+    with local_set(settings):  # for the steps; replays start processes of their own, which remember nothing
+        made = ("dataset", "simulate", "data", "--model", "truth.toml", "--plan", "plan.toml", "--pixels", "42")
+        told(settings, tmp_path, *made, "--solver", "twin")
+        told(settings, tmp_path, "compare", "data", "--twin")
+        free = ("--free", "environment.substrate.reflectance")
+        seen = "vignetting,magnification,camera_psf,veiling_glare,edge_walls,dbr_index_error,receiver_btdf,dead_chip"
+        among = f"{seen},film_interlayer"
+        found = told(settings, tmp_path, "diagnose", "--twin", *free, "--among", among)
+        assert found["not_tested"] == ["film_interlayer: there are no spectra of films"]
+        assert (found["verdict"], found["set"][0]) in (
+            ("one_effect", "vignetting"),
+            ("cannot_tell_apart", "vignetting"),
+        )
+        best = next(one for one in found["effects"] if one["name"] == "vignetting")
+        size = best["size"]["corner_loss"]
+        assert abs(size["value"] - 0.15) < 3.0 * size["error"]
+        assert best["held_out_after"] < best["held_out_before"]
+        journal = RunJournal(Path(found["folder"]))
+        (step,) = (one.value for one in journal.records("/validation") if one.value.command == "diagnose")
+        assert step.document["sentence"] == found["sentence"]
+
+        added = told(settings, tmp_path, "add", "vignetting", "--twin", *free)
+        assert added["after"]["fitted_percent"] < 1.1 * added["after"]["noise_percent"]
+        assert added["after"]["fitted_percent"] < added["before"]["fitted_percent"]
+        assert any(line.startswith("effects.vignetting.corner_loss") for line in added["diff"])
+        model = read_model(tmp_path / "model.toml")
+        assert [effect.name for effect in model.effects] == ["vignetting"]
+        again = luxloop(settings, tmp_path, "add", "vignetting", "--twin")
+        assert again.returncode == 2
+        assert "luxloop remove" in again.stderr
+
+        rungs = told(settings, tmp_path, "ladder")["rungs"]
+        assert [rung["effects"] for rung in rungs] == [[], ["vignetting"]]
+        assert rungs[1]["held_out_percent"] < rungs[0]["held_out_percent"]
+        taken = told(settings, tmp_path, "remove", "vignetting", "--twin", *free)
+        assert taken["after"]["p"] < 0.001
+        assert read_model(tmp_path / "model.toml").effects == ()
+        told(settings, tmp_path, "model", "undo")
+        assert [effect.name for effect in read_model(tmp_path / "model.toml").effects] == ["vignetting"]
     replayed(settings, tmp_path, found["folder"], "2", "3")
-
-    added = told(settings, tmp_path, "add", "vignetting", "--twin", *free)
-    assert added["after"]["fitted_percent"] < 1.1 * added["after"]["noise_percent"]
-    assert added["after"]["fitted_percent"] < added["before"]["fitted_percent"]
-    assert any(line.startswith("effects.vignetting.corner_loss") for line in added["diff"])
     replayed(settings, tmp_path, added["folder"], "2", "3", "4")
-    model = read_model(tmp_path / "model.toml")
-    assert [effect.name for effect in model.effects] == ["vignetting"]
-    again = luxloop(settings, tmp_path, "add", "vignetting", "--twin")
-    assert again.returncode == 2
-    assert "luxloop remove" in again.stderr
-
-    rungs = told(settings, tmp_path, "ladder")["rungs"]
-    assert [rung["effects"] for rung in rungs] == [[], ["vignetting"]]
-    assert rungs[1]["held_out_percent"] < rungs[0]["held_out_percent"]
-    taken = told(settings, tmp_path, "remove", "vignetting", "--twin", *free)
-    assert taken["after"]["p"] < 0.001
-    assert read_model(tmp_path / "model.toml").effects == ()
-    told(settings, tmp_path, "model", "undo")
-    assert [effect.name for effect in read_model(tmp_path / "model.toml").effects] == ["vignetting"]
 
 
 @pytest.mark.parametrize(

@@ -139,6 +139,18 @@ def test_all_numbers_of_an_effect_that_act_are_fitted_together(a: float, b: floa
     assert first.sigma == pytest.approx(np.sqrt(first.drop), rel=0.1)
 
 
+def test_a_number_that_goes_to_the_end_of_its_range_is_left_off_beside_the_one_that_scored() -> None:
+    """Rises of 0.08 and 0.012, of which the second may be 0.005 at most: the first explains most, and is named."""
+    narrow = RISE.parameters[1].model_copy(update={"lower": -0.005, "upper": 0.005})
+    known = RISE.model_copy(update={"parameters": (RISE.parameters[0], narrow)})
+    truth = MODEL.model_copy(update={"effects": (AppliedEffect(name="rise", parameters={"a": 0.08, "b": 0.012}),)})
+    found = diagnosis(images_of(truth, 3), known=(known, *CATALOGUE))
+    (first,) = (one for one in found.steps[0].explanations if one.name == "rise")
+    assert (first.plausible, first.parameter, first.shape) == (True, "a", ())
+    assert found.verdict.set[:1] == ("rise",)
+    assert abs(first.value - 0.08) < 4.0 * first.error
+
+
 def test_an_effect_whose_square_counts_is_fitted_from_off() -> None:
     """Fog of 0.3: nothing has a slope at 0, yet it is found."""
     best = diagnosis(data("fog", 3, 0.3)).added[0]
