@@ -64,11 +64,12 @@ def test_the_mirrors_layers_are_named_and_the_best_design_moves(settings: Settin
     """Images of the blind test's forward model; the page's winners are the better ones, each under its model."""
     tutorial = (HOUSE / "docs" / "tutorial-images.md").read_text(encoding="utf-8")
     model, how = ("--model", "mine.toml"), ("--histories", "1000000")
+    most = ("--most-histories", "2000000")  # the page's last anchors have up to eight million: minutes more
     before = told(settings, tmp_path, "compare", str(SEALED / "sets" / "set-1"), *model, *how)
     fits = {shot["id"]: shot["p"] > 0.01 for shot in before["shots"]}
     assert fits == {"chip-bare": True, "chip-mirror": False, "module-bare": True, "module-mirror": False}
     among = ("--among", "dbr_layer_order,receiver_btdf")
-    found = told(settings, tmp_path, "diagnose", *model, *how, *among)
+    found = told(settings, tmp_path, "diagnose", *model, *how, *most, *among)
     assert (found["verdict"], found["set"]) == ("one_effect", ["dbr_layer_order"])
     said = "One effect explains the misfit: dbr_layer_order, order aln_first."
     assert found["sentence"].startswith(said)
@@ -78,7 +79,7 @@ def test_the_mirrors_layers_are_named_and_the_best_design_moves(settings: Settin
         assert f"{path} {value:g} +- {error:g}" in tutorial.replace(" 1/cm", "")
         assert abs(shown[path] - value) < error
     shutil.copy(tmp_path / "mine.toml", tmp_path / "before.toml")
-    added = told(settings, tmp_path, "add", "dbr_layer_order", *model, *how)
+    added = told(settings, tmp_path, "add", "dbr_layer_order", *model, *how, *most)
     for row in added["fitted"]:
         value, error = FOUND[row["path"]]
         assert abs(row["value"] - value) < error
