@@ -84,9 +84,22 @@ def by_twin(problem: Problem, start: Mapping[str, float], below: float = np.inf)
 
     `below`: a chi2 above which nobody asks for it; where columns no longer promise to come below, it ends.
     """
-    anchor = problem.anchor or Anchored(problem.model, 0)
-    lent = replace(problem, anchor=replace(anchor, model=problem.model, histories=0, poses=()))
+    lent = _lent(problem)
     return refitted(lent, start_values(lent, start), TWIN_STEPS, below)
+
+
+def chi2_by_twin(problem: Problem, start: Mapping[str, float]) -> float:
+    """Where such a fit begins: of data and priors."""
+    lent = _lent(problem)
+    at = lent.evaluate(start_values(lent, start))
+    residual = at.residual(at.whitening())
+    return float(residual @ residual) + prior_chi2(lent.unknowns.parameters, at.values)
+
+
+def _lent(problem: Problem) -> Problem:
+    """The problem by the twin, whose own model's chip exits stand for all."""
+    anchor = problem.anchor or Anchored(problem.model, 0)
+    return replace(problem, anchor=replace(anchor, model=problem.model, histories=0, poses=()))
 
 
 def about_its_own(problem: Problem, found: Fit, beside: float = np.inf) -> Fit:

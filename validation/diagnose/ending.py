@@ -18,6 +18,7 @@ from validation.diagnose.anew import (
     STEPS,
     about_its_own,
     by_twin,
+    chi2_by_twin,
     fitted_anew,
     has_monte_carlo,
     has_other_light,
@@ -127,9 +128,10 @@ def unstuck(found: Refitted, base: Fit) -> Refitted:
     if not has_monte_carlo(problem):
         return found
     ended = problem.unknowns.named(fit.values)
-    begun = by_twin(problem, start_of(problem, ended))
-    if _held(fit, base) <= _held(begun, base):  # it is no corner: the model goes there with the effect, too
-        return found
+    highest = chi2_by_twin(problem, ended) + OF_NOISE
+    begun = by_twin(problem, start_of(problem, ended), highest)
+    if total_chi2(begun) > highest or _held(fit, base) <= _held(begun, base):
+        return found  # worse, or in no corner: the model goes to that limit with the effect, too
     if total_chi2(begun) > total_chi2(by_twin(problem, ended)) + OF_NOISE:
         return found
     anew = about_its_own(problem, begun, found.chi2)

@@ -423,7 +423,8 @@ def test_monte_carlo_is_not_asked_where_the_twin_begins_worse(base: Fit, monkeyp
     predictor = Anchors()
     anchored = replace(base, problem=replace(base.problem, predictor=predictor))
     begun, stays = replace(base, chi2=120.0), replace(base, chi2=100.0)
-    for fits in ([begun, stays], [replace(begun, chi2=90.0, at_limit=(HALO,))]):
+    monkeypatch.setattr(ending, "chi2_by_twin", lambda *_: 500.0)
+    for fits in ([begun, stays], [replace(begun, chi2=90.0, at_limit=(HALO,))], [replace(begun, chi2=600.0)]):
         twins = iter(fits)
         monkeypatch.setattr(ending, "by_twin", lambda *_, twins=twins: next(twins))
         assert unstuck(at_limit, anchored) is at_limit
