@@ -25,7 +25,7 @@ from validation.comparing import Solver
 from validation.dataset.folder import read_dataset
 from validation.dataset.simulate import exposed, views_of, write_dataset
 from validation.dataset.simulation_plan import paper_plan
-from validation.diagnose.diagnosis import Diagnosis
+from validation.diagnose.rounds import Diagnosis
 from validation.diagnosing import Diagnosing
 from validation.effects.known import Known
 from validation.fit.parameters import free_paths

@@ -33,8 +33,8 @@ from validation.dataset.folder import read_dataset
 from validation.dataset.manifest import CameraFacts, Sample
 from validation.dataset.simulate import Expected, expected_images, exposed, views_of, write_dataset
 from validation.dataset.simulation_plan import paper_plan
-from validation.diagnose.diagnosis import Diagnosis
 from validation.diagnose.next_measurement import Proposal
+from validation.diagnose.rounds import Diagnosis
 from validation.diagnosing import Diagnosing
 from validation.effects.confounding import TOLD_APART, left_beside
 from validation.effects.confusing import Ground, image_ground

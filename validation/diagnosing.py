@@ -18,13 +18,14 @@ from validation.comparing import Solver
 from validation.contrasts.structure import DRAWS, fit_projection
 from validation.diagnose.by_sample import is_by_sample, with_members_free, with_own_values
 from validation.diagnose.columns import FitSight, candidates_of
-from validation.diagnose.diagnosis import Diagnosis, Means, diagnosed
+from validation.diagnose.diagnosis import Means, diagnosed
 from validation.diagnose.ending import finished
 from validation.diagnose.frozen import slopes_of
 from validation.diagnose.ground import Ground
 from validation.diagnose.groups import joined
 from validation.diagnose.next_measurement import Proposal, Rivals
 from validation.diagnose.refit import Refitted, refit
+from validation.diagnose.rounds import Diagnosis
 from validation.diagnose.score import Candidate, Projected, Score, scores
 from validation.effects.known import Known, for_chips
 from validation.effects.signatures import Column, signature

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from luxloop.effect import EffectParameter, EffectSpec
 from luxloop.model import Model
 from validation.comparing import Solver
-from validation.diagnose.diagnosis import Diagnosis
+from validation.diagnose.rounds import Diagnosis
 from validation.diagnosing import Diagnosing
 from validation.effects.checking import Finding
 from validation.effects.confusing import Ground

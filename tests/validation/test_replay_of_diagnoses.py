@@ -20,8 +20,8 @@ from validation import auditor, reexecute
 from validation.adding import told_of
 from validation.comparing import maps_of
 from validation.dataset.folder import read_dataset
-from validation.diagnose.diagnosis import Diagnosis
 from validation.diagnose.document import document
+from validation.diagnose.rounds import Diagnosis
 from validation.fit import Fit, fit
 from validation.model_versions import save
 from validation.redeciding import changed_model, diagnosis

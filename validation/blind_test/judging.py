@@ -31,10 +31,10 @@ from validation.contrasts.structure import fit_layout, fit_projection, judged
 from validation.dataset.folder import read_dataset
 from validation.diagnose.anew import thawed
 from validation.diagnose.arrays import arrays_of
-from validation.diagnose.diagnosis import Diagnosis
 from validation.diagnose.document import document
 from validation.diagnose.frozen import frozen_at
 from validation.diagnose.ground import Ground
+from validation.diagnose.rounds import Diagnosis
 from validation.diagnose.score import Candidate
 from validation.diagnosing import Diagnosing
 from validation.effects.known import Known

@@ -152,8 +152,8 @@ def _make_one(asked: Asked, scene: Scene, one: Planned, kinds: Kinds) -> None:
     light = found[0][1] if len(found) == 1 else scene.lights.of(hidden) if found else scene.lights.plain
     whole = sigma_of(scene.change(scene.lights, light, hidden)) if found else 0.0
     raw = blind.recorded(scene.signals(mean_of(light), hidden), scene.camera, hidden, one.seed)
-    known_one = asked.rivals and len(found) == 1 and not one.outside
-    hidings = tuple(_hiding(each, halves, scene.rivals if known_one else None) for each, _, halves in found)
+    rivals = scene.rivals if asked.rivals and len(found) == 1 else None
+    hidings = tuple(_hiding(each, halves, rivals) for each, _, halves in found)
     for each in hidden:
         kinds.took(each.kind)
     temporary = asked.folder / SETS / f".{one.id}"

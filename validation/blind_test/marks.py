@@ -124,13 +124,19 @@ class Marked:
     @property
     def sigma_rival(self) -> float | None:
         """What is left of the only hidden thing beside its nearest rival; None where that was not measured."""
-        rivals = self.answer.hidden[0].rivals if self.is_one else {}
+        rivals = self.answer.hidden[0].rivals if self.is_one or self.is_outside else {}
         return min(rivals.values(), default=None)
 
     @property
     def told_apart(self) -> bool | None:
         """Whether the data can tell it from all others."""
         return None if self.sigma_rival is None else self.sigma_rival >= TOLD_APART
+
+    @property
+    def is_taken(self) -> bool:
+        """Whether what is named first takes all but `TOLD_APART` sigma of the only hidden thing."""
+        rivals = self.answer.hidden[0].rivals
+        return bool(self.named) and rivals.get(self.named[0], TOLD_APART) < TOLD_APART
 
     @property
     def size_pull(self) -> float | None:

@@ -83,6 +83,8 @@ def table(sets: Sequence[Marked]) -> list[Row]:
     apart = [each for each in one if each.told_apart]
     alike = [each for each in one if each.told_apart is False]
     outside = [each for each in sets if each.is_outside]
+    strange = [each for each in outside if each.told_apart]
+    familiar = [each for each in outside if each.told_apart is False]
     two = [each for each in sets if each.is_two]
     pulls = [each.size_pull for each in one if each.size_pull is not None]
     falls = [each.held_out[0] for each in one if each.held_out[0] is not None]
@@ -102,6 +104,8 @@ def table(sets: Sequence[Marked]) -> list[Row]:
         sizes([len(each.named) for each in strong if each.named]),
         _share("outside, at 20 sigma: none_of_the_known", _of(outside, 20.0), _none_of_the_known, 0.9),
         _share("outside, at 40 sigma: none_of_the_known", _of(outside, 40.0), _none_of_the_known, 0.95),
+        _share("outside, sigma_rival >= 5: none_of_the_known", strange, _none_of_the_known, None),
+        _share("outside, sigma_rival < 5: such a rival named", familiar, lambda each: each.is_taken, None),
         _share("a known one called none_of_the_known", one, _none_of_the_known, None, 0.03),
         _share("two hidden, both named or their groups", two, lambda each: each.both_found, 0.8),
         _counted("size within 2 of its errors, form right", [abs(pull) < 2.0 for pull in pulls], 0.95),

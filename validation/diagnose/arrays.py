@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from validation.diagnose.diagnosis import Diagnosis
+from validation.diagnose.rounds import Diagnosis
 from validation.fit import Fit
 
 Real = NDArray[np.float64]

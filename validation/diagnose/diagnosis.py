@@ -3,34 +3,29 @@
     base fit -> structure, scores -> nothing visible?
              -> refits of the short list -> shares, held-out errors, rivals -> verdict
              -> the best one is kept and the next is looked for, while structure is left and it explains enough
+             -> where it explains too little alone: with another one, if the two leave nothing
 
 Nothing here asks a worker: columns come from `Means.signatures`, refits from the fit's own predictor.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from luxloop.effect import EffectSpec
-from validation.diagnose.explanation import LEVEL, Explanation
+from validation.diagnose.explanation import LEVEL
 from validation.diagnose.ground import Ground
 from validation.diagnose.in_words import left_in_words, limits_in_words, more_in_words
 from validation.diagnose.next_measurement import Proposal, next_in_words
 from validation.diagnose.refit import Refitted
+from validation.diagnose.rounds import Diagnosis, Step, is_the_rest, trusted
 from validation.diagnose.score import Candidate, Projected, Scores, scores
 from validation.diagnose.tried import GroundOf, MembersFit, Progress, Tried, columns_of, short_list
-from validation.diagnose.verdict import (
-    HALF,
-    Verdict,
-    concluded,
-    decided,
-    is_visible,
-    not_trustworthy,
-    nothing_visible,
-)
+from validation.diagnose.verdict import decided, is_visible, not_trustworthy, nothing_visible
 from validation.effects.confounding import Confounding, confounding
 from validation.fit import NOT_CONVERGED, Fit
 
@@ -57,106 +52,53 @@ class Means:
     progress: Progress = lambda *_: None
 
 
-@dataclass(frozen=True, eq=False)
-class Step:
-    """One round: what scored on a fit, what each of the short list came to."""
-
-    ground: Ground
-    scores: Scores
-    confounding: Confounding
-    refits: tuple[Refitted, ...]
-    explanations: tuple[Explanation, ...]
-    verdict: Verdict
-    proposals: tuple[Proposal, ...] = ()
-    """Where it cannot tell effects apart: the measurements that would."""
-
-    @property
-    def best(self) -> Explanation:
-        """The explanation that the verdict names first."""
-        return next(one for one in self.explanations if one.name == self.verdict.set[0])
-
-    @property
-    def kept(self) -> Refitted | None:
-        """The refit of the effect that the verdict names first; None where it names none."""
-        return next((one for one in self.refits if one.candidate.effect.name in self.verdict.set[:1]), None)
-
-    @property
-    def leads_to(self) -> Fit | None:
-        """The fit beside which another effect can be looked for; None without one, or of a group by a line."""
-        return None if self.kept is None else self.kept.fit
-
-
-@dataclass(frozen=True, eq=False)
-class Diagnosis:
-    """All rounds; the first one's verdict is the verdict."""
-
-    steps: tuple[Step, ...]
-    known: int
-    """Effects that there are."""
-
-    @property
-    def verdict(self) -> Verdict:
-        """Of the first round; a second effect that was found besides is told after it."""
-        first, added, ground = self.steps[0].verdict, self.added, self.steps[0].ground
-        only = added[0] if len(added) == 1 else None
-        shares = [one.share for one in added] if self.steps[-1].leads_to is not None else []
-        p_left = added[-1].p_left if added else 1.0
-        found = concluded(
-            first, only, shares, p_left, self.known, lambda: left_in_words(ground, self.steps[0].explanations)
-        )
-        if len(added) < 2 or found is not first:
-            return found
-        further = ", ".join(f"{one.name} ({one.size})" for one in added[1:])
-        return replace(first, sentence=f"{first.sentence} What it leaves is explained by {further}.")
-
-    @property
-    def added(self) -> list[Explanation]:
-        """The effect of each round that was kept, and of the last one where it explains what is left."""
-        return [step.best for step in self.steps if step.verdict.names]
-
-    @property
-    def set(self) -> tuple[str, ...]:
-        """Names of the effects that the verdict speaks of."""
-        return self.steps[0].verdict.set if self.verdict.names else ()
-
-    @property
-    def proposals(self) -> tuple[Proposal, ...]:
-        """The measurements that the last round which could not tell effects apart asks for."""
-        asked = [step.proposals for step in self.steps if step.verdict.word == "cannot_tell_apart"]
-        return asked[-1] if asked and self.verdict.names else ()
-
-
 def diagnosed(
     ground: Ground, effects: Sequence[EffectSpec], means: Means, *, seed: int = 1, level: float = LEVEL
 ) -> Diagnosis:
     """The rounds of a diagnosis; effects that the model has are not tried again."""
+
+    def step_on(ground: Ground) -> Step:
+        present = {one.name for one in ground.fit.model.effects}
+        return _step(ground, [one for one in effects if one.name not in present], means, seed, level)
+
     steps: list[Step] = []
     while len(steps) < MOST_STEPS:
-        present = {one.name for one in ground.fit.model.effects}
-        step = _step(ground, [one for one in effects if one.name not in present], means, seed, level)
+        step = step_on(ground)
         steps.append(step)
         fit = step.leads_to
         if fit is None or step.best.p_left >= level / 2.0:
             break
         ground = means.ground_of(fit)
-    return Diagnosis(tuple(trusted(steps)), len(effects))
+    part = _as_part(steps[0], len(effects), level)
+    if part is not None and part.leads_to is not None:
+        rest = step_on(means.ground_of(part.leads_to))
+        steps = [part, rest] if is_the_rest(part, rest, level) else steps
+    first, *further = trusted(steps)
+    is_open = first is part or first.verdict.word == "cannot_tell_apart"
+    if further and is_open and is_the_rest(first, further[-1], level):
+        first = _named(first, len(effects), means, level, [one.best.name for one in further])
+    return Diagnosis((first, *further), len(effects))
 
 
-def trusted(steps: Sequence[Step]) -> list[Step]:
-    """The rounds without the last ones that name nothing, or nothing to be trusted: the ones before stand.
-
-    So does what leaves structure and explains less than half of what was there, or is a group of many members: as a
-    second effect it is a guess.
-    """
-    found = list(steps)
-    while len(found) > 1 and (found[-1].kept is None or found[-1].best.distrust or is_a_guess(found[-1].best)):
-        found.pop()
-    return found
+def _as_part(step: Step, known: int, level: float) -> Step | None:
+    """The round with the effect that explains most named, where it explains too little to be named alone."""
+    if step.verdict.names or not step.explanations:
+        return None
+    return replace(step, verdict=decided(step.explanations, known, str, lambda _: "", level, beside=()))
 
 
-def is_a_guess(best: Explanation, level: float = LEVEL) -> bool:
-    """Whether an effect explains less than half, or is a group, and leaves structure."""
-    return (best.share.value < HALF or best.has_members) and best.p_left < level / 2.0
+def _named(step: Step, known: int, means: Means, level: float, beside: Collection[str] | None = None) -> Step:
+    """The round with its verdict on what was tried, and the measurements that this asks for."""
+    proposals: list[Proposal] = []
+
+    def next_image(names: Sequence[str]) -> str:
+        by_name = {one.candidate.effect.name: one for one in step.refits}
+        proposals[:] = means.next_image(step.ground.fit, [by_name[name] for name in names])
+        return next_in_words(proposals, images=bool(step.ground.fit.problem.images))
+
+    left = partial(left_in_words, step.ground, step.explanations)
+    verdict = decided(step.explanations, known, left, next_image, level, beside=beside)
+    return replace(step, verdict=verdict, proposals=tuple(proposals))
 
 
 def _step(ground: Ground, effects: Sequence[EffectSpec], means: Means, seed: int, level: float) -> Step:
@@ -183,19 +125,8 @@ def _step(ground: Ground, effects: Sequence[EffectSpec], means: Means, seed: int
     tried.refit(means.progress)
     tried.finish(means.progress)
     tried.look_into_group(means.members_fit, means.ground_of)
-
-    proposals: list[Proposal] = []
-
-    def next_image(names: Sequence[str]) -> str:
-        by_name = {one.candidate.effect.name: one for one in tried.refits}
-        proposals[:] = means.next_image(fit, [by_name[name] for name in names])
-        return next_in_words(proposals, images=bool(fit.problem.images))
-
-    verdict = decided(
-        tried.explanations, len(effects), lambda: left_in_words(ground, tried.explanations), next_image, level
-    )
-    refits, explanations = tuple(tried.refits), tuple(tried.explanations)
-    return Step(ground, scored, alike, refits, explanations, verdict, tuple(proposals))
+    step = Step(ground, scored, alike, tuple(tried.refits), tuple(tried.explanations), nothing_visible(()))
+    return _named(step, len(effects), means, level)
 
 
 def _scored(ground: Ground, candidates: Sequence[Candidate], seed: int) -> tuple[Projected, Scores]:

@@ -7,7 +7,8 @@
                           many effects (14 of 32), and structure is left; or all that was kept, round
                           by round, explains less than 0.8, and structure is left; or a group is all that was kept,
                           and structure is left: with a number for each chip it takes most of anything (one whose
-                          members follow the field is not even tried: chips know nothing of it)
+                          members follow the field is not even tried: chips know nothing of it). Not where a
+                          second effect explains all that the best one leaves: both are named
     cannot_tell_apart     a rival explains nearly as much, and less than 5 sigma would be left of the one beside it,
                           or the two fits are nearer to each other than that
     one_effect            else
@@ -22,7 +23,7 @@ not seen, and whether rivals can be told apart. Chi2 only ranks.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -86,6 +87,8 @@ def decided(
     left: Callable[[], str],
     next_image: Callable[[Sequence[str]], str],
     level: float = LEVEL,
+    *,
+    beside: Collection[str] | None = None,
 ) -> Verdict:
     """The verdict on what was tried.
 
@@ -94,16 +97,20 @@ def decided(
     explanations : of the short list. known : how many effects there are.
     left : what is left, in words, asked where nothing known explains it.
     next_image : what would separate the effects of these names, asked where the data do not.
+    beside : effects that explain, in a fit with the best one, all that it leaves: it need not explain half by itself,
+    and they are no rivals of it. None: it is alone.
     """
     usable = _in_order([one for one in explanations if one.plausible], level)
-    if not usable or _explains_too_little(usable[0], level) or _is_noise(usable[0], known, level):
+    too_little = bool(usable) and beside is None and _explains_too_little(usable[0], level)
+    if not usable or too_little or _is_noise(usable[0], known, level):
         return none_of_the_known(known, max((one.share.value for one in explanations), default=0.0), left())
     best, others = usable[0], usable[1:]
     if best.distrust and best.p_left >= level / 2.0:  # else another effect may be what drives it there
         return doubted(best)
     alike = [one for one in others if _alike(best, one)]
     names = (best.name, *(one.name for one in alike))
-    rivals = [one for one in alike if _sigma_apart(best, one) < TOLD_APART]
+    others_too = () if beside is None else beside
+    rivals = [one for one in alike if one.name not in others_too and _sigma_apart(best, one) < TOLD_APART]
     if rivals:
         told = [best.name, *(one.name for one in rivals)]
         sentence = f"The data cannot tell apart {', '.join(told)}{_by_fits(best, rivals)}. {next_image(told)}"

@@ -73,6 +73,23 @@ def test_exact_names_count_where_the_data_can_tell() -> None:
     assert row(sets, "mean size").value == pytest.approx(7 / 5)
 
 
+def test_strangers_that_a_known_effect_takes_have_a_row_of_their_own() -> None:
+    """Beside a rival that leaves less than 5 sigma no data can say that it is unknown; that rival is to be named."""
+    far, near = {"camera_psf": 9.0, "dead_chip": 19.0}, {"camera_psf": 4.9, "dead_chip": 19.0}
+    sets = [
+        marked(record("none_of_the_known"), hiding(kind="chip_sizes", rivals=far)),
+        marked(record("one_effect", "camera_psf"), hiding(kind="chip_sizes", rivals=far)),
+        marked(record("one_effect", "camera_psf"), hiding(kind="chip_sizes", rivals=near)),
+        marked(record("one_effect", "dead_chip"), hiding(kind="chip_sizes", rivals=near)),
+        marked(record("none_of_the_known"), hiding(kind="chip_sizes", rivals=near)),
+        marked(record("none_of_the_known"), hiding(kind="chip_sizes")),
+    ]
+    assert counts(sets, "outside, sigma_rival >= 5") == (1, 2)
+    assert counts(sets, "outside, sigma_rival < 5") == (1, 3)
+    assert counts(sets, "outside, at 20 sigma") == (3, 6)
+    assert [one.sigma_rival for one in sets] == [9.0, 9.0, 4.9, 4.9, 4.9, None]
+
+
 def test_the_proposed_image_counts_in_a_row_of_its_own() -> None:
     """Sets with it stand in for those before; one whose image was not taken counts in neither way."""
     rivals = {"camera_psf": 9.0}

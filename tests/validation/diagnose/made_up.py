@@ -24,9 +24,10 @@ from luxloop.model import Model
 from tests.validation.analytic import ARRAY, MODEL, PATHS, SINGLE, Spots, blank
 from validation.diagnose.by_sample import with_own_values
 from validation.diagnose.columns import FitSight, candidates_of
-from validation.diagnose.diagnosis import Diagnosis, Means, diagnosed
+from validation.diagnose.diagnosis import Means, diagnosed
 from validation.diagnose.ground import Ground
 from validation.diagnose.next_measurement import Proposal
+from validation.diagnose.rounds import Diagnosis
 from validation.diagnose.score import Candidate
 from validation.effects.signatures import Column, signature
 from validation.fit import Fit, fit

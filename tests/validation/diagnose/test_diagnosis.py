@@ -35,7 +35,7 @@ from tests.validation.diagnose.made_up import (
 from validation import told_diagnosis
 from validation.contrasts.structure import fit_projection
 from validation.diagnose.columns import FitSight, candidates_of
-from validation.diagnose.diagnosis import Diagnosis, Step, beyond_limits, trusted
+from validation.diagnose.diagnosis import beyond_limits
 from validation.diagnose.document import document, effect_document
 from validation.diagnose.ending import finished
 from validation.diagnose.evidence import group_log_evidence
@@ -46,6 +46,7 @@ from validation.diagnose.held_out import same_rows
 from validation.diagnose.in_words import FEW, limits, limits_in_words, more_in_words
 from validation.diagnose.ladder import Rung
 from validation.diagnose.refit import refit
+from validation.diagnose.rounds import Diagnosis, Step, is_the_rest, trusted
 from validation.diagnose.score import Projected, scores
 from validation.fit import NOT_CONVERGED, Fit, fit
 from validation.fit.parameters import free_paths
@@ -379,6 +380,49 @@ def test_two_effects_are_found_one_after_the_other() -> None:
     found = diagnosis(fogged, known=known)
     assert {one.name for one in found.added} == {"stripes", "fog"}
     assert "What it leaves is explained by" in found.verdict.sentence
+
+
+@pytest.mark.parametrize(("ripple", "stripes"), [(0.0238, 0.031), (0.0077, 0.0093)])
+def test_two_effects_are_named_where_neither_explains_half(ripple: float, stripes: float) -> None:
+    """The better one explains 46 % +- 3 %; or, weaker, as much as its rival to a sigma: they are there together, and
+    none asks for an image to tell them apart. Without the other one in the catalogue neither is named."""
+    both = (
+        AppliedEffect(name="ripple", parameters={"size": ripple}),
+        AppliedEffect(name="stripes", parameters={"size": stripes, "length_um": 300.0}),
+    )
+    images, others = images_of(MODEL.model_copy(update={"effects": both}), 2), (CATALOGUE[2], RISE)
+    found = diagnosis(images, known=(spec("ripple"), CATALOGUE[3], *others))
+    assert {one.name for one in found.added} == {"ripple", "stripes"}
+    assert (found.verdict.word, found.proposals) == ("one_effect", ())
+    assert f"What it leaves is explained by {found.added[1].name} (size" in found.verdict.sentence
+    assert found.added[0].share.value < 0.5
+    said = json.loads(json.dumps(document(found, 1)))
+    again = verdict_of(said, [explanation_of(row) for row in said["effects"]])
+    assert again is not None
+    assert (again.word, again.set) == (said["verdict"], tuple(said["set"]))
+    alone = diagnosis(images, known=(spec("ripple"), *others))
+    assert alone.verdict.word == "none_of_the_known"
+    assert len(alone.steps) == 1
+
+
+def test_the_first_of_two_must_be_there_beside_the_second() -> None:
+    """Off by more than three errors of its own; a rest in doubt, of a group, or that leaves structure is none."""
+    sizes = {"ripple": {"size": 0.03}, "stripes": {"size": 0.03, "length_um": 300.0}}
+    both = tuple(AppliedEffect(name=name, parameters=dict(of)) for name, of in sizes.items())
+    found = diagnosis(images_of(MODEL.model_copy(update={"effects": both}), 1), known=(spec("ripple"), CATALOGUE[3]))
+    part, rest = found.steps
+    assert is_the_rest(part, rest)
+    for change in ({"p_left": 0.004}, {"distrust": ("a limit",)}, {"has_members": True}):
+        assert not is_the_rest(part, replace(rest, explanations=(replace(rest.best, **change),)))
+    assert rest.kept is not None
+    assert rest.leads_to is not None
+    path = f"effects.{part.best.name}.size"
+    at, error = rest.leads_to.names.index(path), rest.leads_to.error(path)
+    for size, is_there in ((2.9, False), (-3.1, True)):
+        values = rest.leads_to.values.copy()
+        values[at] = size * error
+        moved = replace(rest.kept, fit=replace(rest.leads_to, values=values))
+        assert is_the_rest(part, replace(rest, refits=(moved,))) == is_there
 
 
 def test_a_fit_at_its_limit_is_not_blamed_on_an_effect() -> None:
