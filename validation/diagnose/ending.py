@@ -74,7 +74,29 @@ def finished(found: Refitted, predictor: ImagePredictor, curves: CurvePredictor 
         better = _renewed(*posed(problem, model, (*own.problem.unknowns.model_paths, *limits), start))
         if better.converged and not any(path in better.at_limit for path in limits):
             own = better
+    found, own = _left_off(found, problem, own)
     return replace(with_fit(found, thawed(own, problem)), as_well=as_well)
+
+
+def _left_off(found: Refitted, problem: Problem, own: Fit) -> tuple[Refitted, Fit]:
+    """The fit without numbers that went to the end of their range beside the one that scored, if it stays inside.
+
+    As `freed` does, for what only derivatives of its own, or Monte Carlo where it ends, have driven there.
+    """
+    first, *others = (found.candidate, *found.candidate.others)
+    inside = [one for one, path in zip(others, found.paths[1:], strict=True) if path not in own.at_limit]
+    if len(inside) == len(others) or found.paths[0] in own.at_limit:
+        return found, own
+    fewer = replace(found, candidate=replace(first, others=tuple(inside)))
+    left = {path_of(one.effect.name, one.parameter.name): one.parameter.off for one in others if one not in inside}
+    model = own.model
+    for path, off in left.items():
+        model = model.with_value(path, off)
+    model = model.model_copy(update={"fit": {path: one for path, one in model.fit.items() if path not in left}})
+    paths = [path for path in own.problem.unknowns.model_paths if path not in left]
+    fit = _renewed(*posed(problem, model, paths, own.problem.unknowns.named(own.values)))
+    fit = about_its_own(problem, fit) if has_strayed(fit) else fit
+    return (found, own) if not set(fewer.paths).isdisjoint(fit.at_limit) else (fewer, fit)
 
 
 def _at_its_end(problem: Problem, fit: Fit) -> Fit:

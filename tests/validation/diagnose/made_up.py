@@ -85,10 +85,11 @@ class Affected(Spots):
         affected = []
         for view, one in zip(views, found, strict=True):
             columns = {name: seen(model, view, part) for name, part in one.jacobian_per_mm2.items()}
+            free = model.model_copy(update={"fit": {}})  # a step goes beyond a limit
             for path in set(paths) - set(own):
                 value = model.leaves()[path]
                 up, down = (
-                    seen(model.with_value(path, value + by), view, one.irradiance_per_mm2) for by in (1e-4, -1e-4)
+                    seen(free.with_value(path, value + by), view, one.irradiance_per_mm2) for by in (1e-4, -1e-4)
                 )
                 columns[path] = (up - down) / 2e-4
             affected.append(

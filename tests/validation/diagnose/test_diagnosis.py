@@ -42,13 +42,14 @@ from validation.diagnose.evidence import group_log_evidence
 from validation.diagnose.explained import Share
 from validation.diagnose.explanation import LEVEL
 from validation.diagnose.frozen import slopes_of
+from validation.diagnose.groups import joined
 from validation.diagnose.held_out import same_rows
 from validation.diagnose.in_words import FEW, limits, limits_in_words, more_in_words
 from validation.diagnose.ladder import Rung
-from validation.diagnose.refit import refit
+from validation.diagnose.refit import posed, refit, with_fit
 from validation.diagnose.rounds import Diagnosis, Step, is_the_rest, trusted
 from validation.diagnose.score import Projected, scores
-from validation.fit import NOT_CONVERGED, Fit, fit
+from validation.fit import NOT_CONVERGED, Fit, fit, refitted
 from validation.fit.parameters import free_paths
 from validation.prediction import Anchored
 from validation.redeciding import explanation_of, verdict_of
@@ -150,6 +151,29 @@ def test_a_number_that_goes_to_the_end_of_its_range_is_left_off_beside_the_one_t
     assert (first.plausible, first.parameter, first.shape) == (True, "a", ())
     assert found.verdict.set[:1] == ("rise",)
     assert abs(first.value - 0.08) < 4.0 * first.error
+
+
+def test_a_number_that_only_its_end_drives_there_is_left_off_too() -> None:
+    """A second number that a first fit left inside of a range, and the one with derivatives of its own does not."""
+    predictor = Affected()
+    base = fit(MODEL, images_of(hidden("rise", {"a": 0.08, "b": 0.012}), 3), predictor, free=PATHS)
+    tried = candidates_of(base, [RISE], FitSight.of(base, predictor))  # type: ignore[arg-type]  # it predicts, too
+    found = refit(base, scores(Projected.of(joined(tried), fit_projection(base)), base.residual).effects[0].best,
+                  slopes_of(base))  # fmt: skip
+    assert found.fit is not None
+    assert [one.parameter.name for one in found.candidate.others] == ["b"]
+    narrow = found.fit.model.fit | {"effects.rise.b": Limits(free=True, lower=-0.005, upper=0.005)}
+    model = found.fit.model.model_copy(update={"fit": narrow}).with_value("effects.rise.b", 0.004)
+    start = found.fit.problem.unknowns.named(found.fit.values) | {"effects.rise.b": 0.004}
+    problem, values = posed(found.fit.problem, model, found.fit.problem.unknowns.model_paths, start)
+    held = with_fit(found, refitted(problem, values, 1))
+    ended = finished(held, predictor, None)  # type: ignore[arg-type]  # it predicts as a predictor does
+    assert (ended.at_limit, ended.size.keys(), ended.paths) == (False, {"a"}, ("effects.rise.a",))
+    assert abs(ended.value - 0.08) < 4.0 * ended.error
+    assert ended.model is not None
+    assert ended.model.leaves()["effects.rise.b"] == 0.0
+    assert ended.fit is not None
+    assert "effects.rise.b" not in ended.fit.names
 
 
 def test_an_effect_whose_square_counts_is_fitted_from_off() -> None:
