@@ -48,7 +48,7 @@ from validation.diagnose.verdict import is_visible
 from validation.diagnosing import Diagnosing
 from validation.effects.known import Known
 from validation.fit import Fit, fit
-from validation.fit.image_fit import crossed, linearised
+from validation.fit.descent import crossed, linearised
 from validation.fit.problem import Evaluation
 from validation.fit.result import conclude
 from validation.measured import MeasuredImage

@@ -24,7 +24,8 @@ from validation.diagnose.frozen import slopes_of
 from validation.diagnose.ground import Ground
 from validation.diagnose.groups import joined
 from validation.diagnose.next_measurement import Proposal, Rivals
-from validation.diagnose.refit import Refitted, refit
+from validation.diagnose.refit import refit
+from validation.diagnose.refitted import Refitted
 from validation.diagnose.rounds import Diagnosis
 from validation.diagnose.score import Candidate, Projected, Score, scores
 from validation.effects.known import Known, for_chips

@@ -23,11 +23,12 @@ from tests.validation.analytic import (
 from validation.contrasts import structure
 from validation.fit import (
     Parameter,
+    anchored_fit,
+    descent,
     fit,
-    image_fit,
     profile,
 )
-from validation.fit.image_fit import crossed
+from validation.fit.descent import crossed
 from validation.fit.least_squares import Step, reduce
 from validation.fit.model_noise import noise_shares
 from validation.fit.parameters import Unknowns
@@ -105,7 +106,7 @@ def test_steps_that_go_too_far_and_back_come_to_an_end(monkeypatch):
     noise = {one.id: _waves(one, 0.06) for one in (SINGLE, ARRAY)}
     found = list(_fits_that_lack_something(noise))
     assert all(one.converged for one in found)
-    monkeypatch.setattr(image_fit.Pace, "share_of", lambda *_: 1.0)
+    monkeypatch.setattr(descent.Pace, "share_of", lambda *_: 1.0)
     whole = list(_fits_that_lack_something(noise))
     assert not all(one.converged for one in whole)
     assert sum(one.iterations for one in found) < sum(one.iterations for one in whole)
@@ -114,7 +115,7 @@ def test_steps_that_go_too_far_and_back_come_to_an_end(monkeypatch):
 @pytest.mark.parametrize("ratio", [-0.6, -1.0, -1.6])
 def test_the_pace_ends_what_goes_back_and_forth(ratio):
     """Whole steps would be `ratio` times the one before, along one of three directions."""
-    slope, at, pace = np.array([1.0 - ratio, 1.0, 0.9]), np.array([1.0, 0.3, -2.0]), image_fit.Pace()
+    slope, at, pace = np.array([1.0 - ratio, 1.0, 0.9]), np.array([1.0, 0.3, -2.0]), descent.Pace()
     for _ in range(12):
         at = at - pace.share_of(-slope * at) * slope * at
     assert np.abs(at).max() < 1e-3
@@ -122,7 +123,7 @@ def test_the_pace_ends_what_goes_back_and_forth(ratio):
 
 def test_the_pace_takes_steps_that_go_on_whole():
     """A long way in one direction is not slowed down."""
-    pace = image_fit.Pace()
+    pace = descent.Pace()
     assert [pace.share_of(np.array([0.9**k, 0.1])) for k in range(5)] == [1.0] * 5
 
 
@@ -185,9 +186,9 @@ def test_what_chi2_does_at_a_step_is_looked_up_where_it_ends(monkeypatch, bend, 
         )  # fmt: skip
 
     problem.evaluate = evaluate
-    monkeypatch.setattr(image_fit, "is_dark", lambda *_: False)
-    monkeypatch.setattr(image_fit, "conclude", lambda evaluation, *told: (evaluation.values, told[5]))
-    values, settled = image_fit._settled(evaluate(np.zeros(2)), 0)
+    monkeypatch.setattr(descent, "is_dark", lambda *_: False)
+    monkeypatch.setattr(descent, "conclude", lambda evaluation, *told: (evaluation.values, told[5]))
+    values, settled = descent._settled(evaluate(np.zeros(2)), 0)
     assert settled == near
     np.testing.assert_allclose(values, solution if near else 0.0, atol=1e-9)
 
@@ -234,7 +235,7 @@ def test_the_last_anchor_takes_as_many_histories_as_its_noise_asks_for():
 def test_the_last_anchor_is_one_of_three_where_the_fit_is_near(monkeypatch, move, most, histories):
     """A fit that goes on moving has three anchors, the first of few histories, where the twin has led; two lead to
     one of more histories, if it is near by then."""
-    monkeypatch.setattr(image_fit, "moved", lambda *_: move)
+    monkeypatch.setattr(anchored_fit, "moved", lambda *_: move)
     predictor = Spots({SINGLE.id: _waves(SINGLE, 0.002), ARRAY.id: _waves(ARRAY, 0.004)})
     fit(MODEL, two_images(), predictor, anchor_at=lambda model: Anchored(model, 1000), most_histories=most)
     made = dict.fromkeys((one.histories, one.model.sha256) for one in predictor.anchors if one and one.histories)
@@ -304,8 +305,8 @@ def test_a_last_step_that_takes_all_light_is_not_taken(monkeypatch):
         change[evaluation.problem.unknowns.names.index("single-a.gain")] = -1e6
         return Step(change, reduced.chi2, np.zeros(len(change), bool))
 
-    monkeypatch.setattr(image_fit, "crossed", to_darkness)
-    monkeypatch.setattr(image_fit, "FAR", np.inf)
+    monkeypatch.setattr(descent, "crossed", to_darkness)
+    monkeypatch.setattr(descent, "FAR", np.inf)
     found = fit(MODEL, two_images(), Spots(noise), anchor_at=lambda model: Anchored(model, 1000))
     assert not found.converged
     assert found.value("single-a.gain") == pytest.approx(300.0, rel=0.1)

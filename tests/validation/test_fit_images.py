@@ -36,7 +36,7 @@ from validation.fit import (
     profile,
     refitted,
 )
-from validation.fit.image_fit import PROMISED
+from validation.fit.descent import PROMISED
 from validation.fit.problem import wrapped_deg
 from validation.fit.start import start_values
 from validation.measured import MeasuredSpectrum

@@ -26,7 +26,7 @@ from validation.diagnose.groups import joined
 from validation.diagnose.score import Projected
 from validation.effects.known import Known
 from validation.fit import Fit, unknowns_of
-from validation.fit.image_fit import linearised
+from validation.fit.descent import linearised
 from validation.fit.parameters import free_paths
 from validation.fit.problem import Problem
 from validation.fit.result import conclude

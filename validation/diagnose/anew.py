@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from validation.diagnose.frozen import frozen_at
 from validation.fit import Fit, prior_chi2, refitted
-from validation.fit.image_fit import ANCHOR_MOVE, MAX_ANCHORS, NEAR, TWIN_STEPS, first_of, moved
+from validation.fit.anchored_fit import ANCHOR_MOVE, MAX_ANCHORS, NEAR, TWIN_STEPS, first_of, moved
 from validation.fit.problem import Problem
 from validation.fit.start import start_values
 from validation.prediction import Anchored

@@ -21,11 +21,12 @@ from luxloop.model import Fit as Limits
 from luxloop.model import Model
 from validation.diagnose.evidence import drawn_back
 from validation.diagnose.frozen import slopes_of
-from validation.diagnose.refit import LEAST_SHARE, limits_of, posed, with_slopes
+from validation.diagnose.refit import LEAST_SHARE, posed, with_slopes
+from validation.diagnose.refitted import limits_of
 from validation.effects.known import acting, applied, is_smooth, off_values, shapes_of, with_effect
 from validation.effects.signatures import Column, Projection
 from validation.fit import Fit, refitted
-from validation.fit.image_fit import ANCHOR_MOVE, MAX_ANCHORS, moved
+from validation.fit.anchored_fit import ANCHOR_MOVE, MAX_ANCHORS, moved
 from validation.sample_values import Member, free_members, with_members, with_sample
 
 Real = NDArray[np.float64]

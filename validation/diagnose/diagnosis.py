@@ -21,7 +21,7 @@ from validation.diagnose.explanation import LEVEL
 from validation.diagnose.ground import Ground
 from validation.diagnose.in_words import left_in_words, limits_in_words, more_in_words
 from validation.diagnose.next_measurement import Proposal, next_in_words
-from validation.diagnose.refit import Refitted
+from validation.diagnose.refitted import Refitted
 from validation.diagnose.rounds import Diagnosis, Step, is_the_rest, trusted
 from validation.diagnose.score import Candidate, Projected, Scores, scores
 from validation.diagnose.tried import GroundOf, MembersFit, Progress, Tried, columns_of, short_list

@@ -28,12 +28,13 @@ from validation.diagnose.anew import (
     total_chi2,
 )
 from validation.diagnose.frozen import FrozenImages, frozen_at, without
-from validation.diagnose.refit import Refitted, Words, added, limits_of, path_of, posed, with_fit
+from validation.diagnose.refit import posed
+from validation.diagnose.refitted import Refitted, Words, added, limits_of, path_of, with_fit
 from validation.effects.agreed import agreed
 from validation.effects.known import CHIP, applied, is_smooth, with_effect
 from validation.effects.signatures import enough_of
 from validation.fit import Fit, refitted
-from validation.fit.image_fit import ANCHOR_MOVE, MAX_ANCHORS, moved
+from validation.fit.anchored_fit import ANCHOR_MOVE, MAX_ANCHORS, moved
 from validation.fit.problem import CurvePredictor, ImagePredictor, Problem
 from validation.prediction import Anchored, View
 from validation.prediction.differences import Moved, stencil

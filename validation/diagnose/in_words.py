@@ -9,11 +9,11 @@ from scipy.stats import norm
 from validation.contrasts import Region
 from validation.diagnose.explanation import FOLLOWS, LEVEL, Explanation
 from validation.diagnose.ground import Ground
-from validation.diagnose.refit import limits_of
+from validation.diagnose.refitted import limits_of
 from validation.diagnose.score import Scores
 from validation.diagnose.verdict import HALF
 from validation.fit import Fit
-from validation.fit.image_fit import WORTH_MORE
+from validation.fit.anchored_fit import WORTH_MORE
 from validation.fit.result import MOST_HISTORIES, wanted_histories
 
 POWER = 0.9

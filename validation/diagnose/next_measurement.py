@@ -20,7 +20,7 @@ from luxloop.errors import InputError, RemoteError
 from luxloop.model import Model
 from validation.dataset.manifest import Sample
 from validation.diagnose.columns import FitSight
-from validation.diagnose.refit import Refitted
+from validation.diagnose.refitted import Refitted
 from validation.diagnose.separation import Rows, sigma_left
 from validation.effects.confounding import TOLD_APART
 from validation.effects.known import applied, nearly_off, off_values, with_effect

@@ -6,16 +6,14 @@ those of the base fit and of the score test (`frozen`); what is kept is fitted t
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from luxloop.effect import EffectParameter, Value
-from luxloop.model import Fit as Limits
 from luxloop.model import Model
 from validation.diagnose.anew import (
     OF_NOISE,
@@ -30,9 +28,10 @@ from validation.diagnose.anew import (
 )
 from validation.diagnose.evidence import drawn_back
 from validation.diagnose.frozen import FrozenCurves, FrozenImages, Slopes, frozen_at
-from validation.effects.known import applied, is_smooth, off_values, with_effect
+from validation.diagnose.refitted import Refitted, added, limits_of, path_of
+from validation.effects.known import is_smooth
 from validation.fit import Fit, prior_chi2, refitted, unknowns_of
-from validation.fit.image_fit import is_dark
+from validation.fit.descent import is_dark
 from validation.fit.least_squares import reduce
 from validation.fit.problem import Problem
 from validation.fit.start import start_values
@@ -49,84 +48,6 @@ LEAST = 1e-4
 """Of a column: what the fit's own parameters must leave of it, for it to be fitted beside another."""
 
 MOST_HALVINGS = 4
-
-Words = tuple[str, ...]
-
-
-@dataclass(frozen=True, eq=False)
-class Refitted:
-    """What a model with an effect leaves, and the effect's size in it."""
-
-    candidate: Candidate
-    value: float
-    """Of the parameter; of a group the rms of its members; of a switch 1."""
-    error: float
-    residual: Real
-    """(row,), whitened."""
-    chi2: float
-    """Of data and priors; of an effect that the twin cannot represent its line's, about the base's own anchor."""
-    at_limit: bool
-    model: Model | None
-    """None for a group as long as its members are no numbers of a model."""
-    fit: Fit | None
-    """None for a group whose members are reckoned on the linear model."""
-
-    as_well: tuple[Words, ...] = ()
-    """Other words of its shape, with which it fits as well."""
-    line: Fit | None = None
-    """Of an effect that the twin cannot represent, fitted about its own value: the fit about the base's anchor."""
-
-    @property
-    def beside_base(self) -> Fit | None:
-        """The fit that has the base's noise of Monte Carlo: what can be held against the base, value by value."""
-        return self.fit if self.line is None else self.line
-
-    @property
-    def shape(self) -> tuple[tuple[str, Value], ...]:
-        """What shapes the effect, and what acts beside its parameter, as its model has them, else as it was tried."""
-        effects = () if self.model is None else self.model.effects
-        values = next((e.parameters for e in effects if e.name == self.candidate.effect.name), {})
-        shaped = tuple((name, values.get(name, value)) for name, value in self.candidate.shape)
-        beside = [one.parameter.name for one in self.candidate.others]
-        return (*shaped, *((name, values[name]) for name in beside if name in values))
-
-    @property
-    def paths(self) -> tuple[str, ...]:
-        """Of the parameters that act, the one that scored first."""
-        tried = (self.candidate, *self.candidate.others)
-        return tuple(path_of(one.effect.name, one.parameter.name) for one in tried)
-
-    @property
-    def size(self) -> dict[str, float]:
-        """The effect's parameters that act, by name, as its model has them; of a group and a switch the one value."""
-        own = self.candidate.parameter.name
-        shape = dict(self.shape)
-        others = {one.parameter.name: shape[one.parameter.name] for one in self.candidate.others}
-        return {own: self.value} | {name: value for name, value in others.items() if isinstance(value, float)}
-
-
-def path_of(effect: str, parameter: str) -> str:
-    """The path of an effect's parameter in a model."""
-    return f"effects.{effect}.{parameter}"
-
-
-def added(model: Model, candidate: Candidate, size: Mapping[str, float]) -> Model:
-    """The model with the effect of a candidate in its shape; those with a size (a switch has none) are free."""
-    spec = candidate.effect
-    values, limits = off_values(spec, dict(candidate.shape)), dict[str, Limits]()
-    for one in spec.parameters:
-        if one.name in size:
-            lower, upper = limits_of(one)
-            values[one.name] = float(np.clip(size[one.name], lower, upper))
-            limits[path_of(spec.name, one.name)] = Limits(free=True, lower=lower, upper=upper)
-    return with_effect(model, applied(spec, values)).model_copy(update={"fit": model.fit | limits})
-
-
-def limits_of(one: EffectParameter) -> tuple[float, float]:
-    """The catalogue's range of a parameter; ValueError where it has words instead."""
-    if one.lower is None or one.upper is None:
-        raise ValueError(f"{one.name} has no range")
-    return one.lower, one.upper
 
 
 def refit(base: Fit, score: Score, slopes: Slopes) -> Refitted:
@@ -275,21 +196,6 @@ def spread(base: Fit, candidate: Candidate) -> Refitted:
         candidate, best, 1.0 / np.sqrt(curvature) if curvature > 0.0 else np.inf, base.residual - members @ rows,
         total_chi2(base) - 2.0 * max(log, 0.0), best >= upper, None, None,
     )  # fmt: skip
-
-
-def with_fit(found: Refitted, fit: Fit) -> Refitted:
-    """The same with another fit of its model."""
-    switch, (path, *_) = found.candidate.is_switch, found.paths
-    return replace(
-        found, value=1.0 if switch else fit.value(path), error=0.0 if switch else fit.error(path),
-        residual=fit.residual, chi2=total_chi2(fit), at_limit=not set(found.paths).isdisjoint(fit.at_limit),
-        model=fit.model, fit=fit,
-    )  # fmt: skip
-
-
-def of_members(found: Refitted, fit: Fit) -> Refitted:
-    """A group's with the fit in which each member is a number of its own; spread, error and chi2 stay its line's."""
-    return replace(found, residual=fit.residual, model=fit.model, fit=fit)
 
 
 def with_slopes(

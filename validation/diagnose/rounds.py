@@ -9,7 +9,7 @@ from validation.diagnose.explanation import LEVEL, Explanation
 from validation.diagnose.ground import Ground
 from validation.diagnose.in_words import left_in_words
 from validation.diagnose.next_measurement import Proposal
-from validation.diagnose.refit import Refitted
+from validation.diagnose.refitted import Refitted
 from validation.diagnose.score import Scores
 from validation.diagnose.verdict import HALF, Verdict, concluded
 from validation.effects.confounding import Confounding

@@ -16,15 +16,8 @@ from validation.diagnose.evidence import group_log_evidence, log_evidence
 from validation.diagnose.explanation import Explanation, follows_field
 from validation.diagnose.frozen import slopes_of
 from validation.diagnose.ground import Ground
-from validation.diagnose.refit import (
-    Refitted,
-    acting_together,
-    left_of,
-    limits_of,
-    of_members,
-    refit,
-    whole_of,
-)
+from validation.diagnose.refit import acting_together, left_of, refit, whole_of
+from validation.diagnose.refitted import Refitted, limits_of, of_members
 from validation.diagnose.score import Candidate, EffectScore, Projected, Scores
 from validation.diagnose.verdict import ALIKE
 from validation.effects.confounding import Confounding, left_beside

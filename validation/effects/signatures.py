@@ -24,7 +24,7 @@ from validation.dataset.manifest import Sample
 from validation.effects.agreed import agreed
 from validation.effects.known import NEAR_OFF, acting, applied, is_smooth, off_values, with_effect
 from validation.fit import Fit
-from validation.fit.image_fit import linearised
+from validation.fit.descent import linearised
 from validation.fit.least_squares import basis
 from validation.fit.parameters import free_paths, gain_of, unknowns_of
 from validation.fit.problem import ImagePredictor, Problem

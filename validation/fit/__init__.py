@@ -1,7 +1,8 @@
 """Fitting a model to what was measured: whitened least squares with priors, limits and per-shot nuisances."""
 
+from validation.fit.anchored_fit import fit
 from validation.fit.curves import CurvesOf, curves_of, film_parameters
-from validation.fit.image_fit import fit, refitted
+from validation.fit.descent import refitted
 from validation.fit.least_squares import Parameter, prior_chi2
 from validation.fit.parameters import CurveData, Discrepancy, unknowns_of
 from validation.fit.profile import Profile, profile

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 
 from luxloop.errors import InputError
-from validation.fit.image_fit import linearised
+from validation.fit.descent import linearised
 from validation.fit.result import Fit
 
 Real = NDArray[np.float64]

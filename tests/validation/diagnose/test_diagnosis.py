@@ -46,7 +46,8 @@ from validation.diagnose.groups import joined
 from validation.diagnose.held_out import same_rows
 from validation.diagnose.in_words import FEW, limits, limits_in_words, more_in_words
 from validation.diagnose.ladder import Rung
-from validation.diagnose.refit import posed, refit, with_fit
+from validation.diagnose.refit import posed, refit
+from validation.diagnose.refitted import with_fit
 from validation.diagnose.rounds import Diagnosis, Step, is_the_rest, trusted
 from validation.diagnose.score import Projected, scores
 from validation.fit import NOT_CONVERGED, Fit, fit, refitted

@@ -16,7 +16,7 @@ from tests.validation.diagnose.made_up import THIRD, Affected, data, spec
 from tests.validation.effects.test_signatures import AMPLITUDE, BASE, ONE, SIDE, SINGLE, Pretended, sight_of, spec_of
 from validation.dataset.manifest import Sample
 from validation.diagnose.next_measurement import Proposal, Rivals, next_in_words
-from validation.diagnose.refit import Refitted
+from validation.diagnose.refitted import Refitted
 from validation.diagnose.score import Candidate
 from validation.fit import fit
 from validation.prediction import Anchored, View

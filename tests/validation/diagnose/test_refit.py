@@ -22,12 +22,13 @@ from validation.diagnose import ending
 from validation.diagnose.anew import ON_THE_WAY, about_its_own, fitted_anew, has_other_light, has_strayed
 from validation.diagnose.ending import beside, finished, is_stuck, unstuck
 from validation.diagnose.frozen import FrozenImages, frozen_at, slopes_of, without
-from validation.diagnose.refit import Refitted, freed, switched
+from validation.diagnose.refit import freed, switched
+from validation.diagnose.refitted import Refitted
 from validation.diagnose.score import Candidate, Score
 from validation.effects.known import applied, with_effect
 from validation.effects.signatures import Column, Projection
 from validation.fit import Fit, fit
-from validation.fit.image_fit import AT_FIRST
+from validation.fit.anchored_fit import AT_FIRST
 from validation.fit.problem import view_of
 from validation.measured import MeasuredImage
 from validation.prediction import Anchored, Pose, Predicted, View
