@@ -97,7 +97,7 @@ def _freed(base: Fit, score: Score, slopes: Slopes, tried: Sequence[Candidate]) 
         named = {one.parameter.name: start for one, start in zip(tried, starts, strict=True)}
         problem, values = posed(frozen, added(base.model, candidate, named), tuple(slopes), own.named(beside) | at)
         if not is_dark(problem, values):
-            residual = problem.evaluate(values).residual(base.whitening)
+            residual = problem.evaluate(values, derivatives=False).residual(base.whitening)
             if residual @ residual + prior_chi2(own.parameters, beside) <= total_chi2(base):
                 break
         sizes = [0.5 * size for size in sizes]
@@ -155,7 +155,7 @@ def switched(base: Fit, candidate: Candidate) -> Refitted:
     of_model = {*paths, *filter(is_scale, ended)}
     anew = start_values(begun, {name: value for name, value in ended.items() if name not in of_model})
     starts = [(_lending(problem), near), (_lending(begun), anew)]
-    residuals = [one.evaluate(values).residual(base.whitening) for one, values in starts]
+    residuals = [one.evaluate(values, derivatives=False).residual(base.whitening) for one, values in starts]
     problem, values = starts[int(np.argmin([residual @ residual for residual in residuals]))]
     found = refitted(frozen_at(problem, values), values, STEPS, total_chi2(base))
     settled = found.converged and total_chi2(found) < total_chi2(base) and not has_other_light(problem, found.values)

@@ -67,15 +67,18 @@ class Problem:
     discrepancies: tuple[Discrepancy, ...] = ()
     anchor: Anchored | None = None
 
-    def evaluate(self, values: Real) -> Evaluation:
-        """All predictions at these values: the predictor is asked once."""
+    def evaluate(self, values: Real, *, derivatives: bool = True) -> Evaluation:
+        """All predictions at these values: the predictor is asked once.
+
+        Without derivatives there is a residual and no column: those by what changes the light in a chip are walks.
+        """
         by_name, unknowns = self.unknowns.named(values), self.unknowns
-        model = unknowns.model(self.model, values)
-        images = self._ask_images(model, by_name)
+        model, paths = unknowns.model(self.model, values), unknowns.model_paths if derivatives else ()
+        images = self._ask_images(model, by_name, (*paths, *POSE_COLUMNS) if derivatives else ())
         curves: list[PredictedCurve] = []
         if self.curves and self.predict_curves is not None:
             others = {name: by_name[name] for name in unknowns.other_paths}
-            curves = self.predict_curves(model, self.curves, unknowns.model_paths, others)
+            curves = self.predict_curves(model, self.curves, paths, others)
         return Evaluation(self, values, by_name, model, images, curves)
 
     def views(self, model: Model, by_name: Mapping[str, float]) -> list[View]:
@@ -87,9 +90,8 @@ class Problem:
             ]
         return views
 
-    def _ask_images(self, model: Model, by_name: Mapping[str, float]) -> list[Predicted]:
+    def _ask_images(self, model: Model, by_name: Mapping[str, float], paths: Sequence[str]) -> list[Predicted]:
         views = self.views(model, by_name)
-        paths = (*self.unknowns.model_paths, *POSE_COLUMNS)
         return self.predictor.images(model, views, paths, self.anchor) if views else []
 
 

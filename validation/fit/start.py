@@ -27,13 +27,13 @@ def start_values(problem: Problem, given: Mapping[str, float]) -> Real:
     values |= {name: value for name, value in given.items() if name in values}
     if not problem.images:
         return _with_scales(problem, _vector(problem, values), given)
-    first = problem.evaluate(_vector(problem, values))
+    first = problem.evaluate(_vector(problem, values), derivatives=False)
     for image, predicted in zip(problem.images, first.predicted, strict=True):
         shot = image.shot.id
         if f"{shot}.shift_row_px" not in given:
             row, column = coarse_shift_px(image, predicted.irradiance_per_mm2)
             values[f"{shot}.shift_row_px"], values[f"{shot}.shift_column_px"] = float(row), float(column)
-    second = problem.evaluate(_vector(problem, values))
+    second = problem.evaluate(_vector(problem, values), derivatives=False)
     lines = [
         _line(image, predicted.irradiance_per_mm2)
         for image, predicted in zip(problem.images, second.predicted, strict=True)
@@ -85,7 +85,7 @@ def _with_scales(problem: Problem, values: Real, given: Mapping[str, float]) -> 
     if not free:
         return values
     by_name = problem.unknowns.named(values)
-    predictions = problem.evaluate(values).predicted_curves
+    predictions = problem.evaluate(values, derivatives=False).predicted_curves
     for curve, predicted in zip(problem.curves, predictions, strict=True):
         if curve in free:
             weight = predicted.value / curve.sigma**2

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,7 +20,16 @@ from tests.validation.analytic import ARRAY, HALO, MODEL, PATHS, SIGMA, SINGLE, 
 from tests.validation.diagnose.made_up import GAIN, THIRD, Affected, seen, spec
 from validation.dataset.manifest import Sample
 from validation.diagnose import ending
-from validation.diagnose.anew import ON_THE_WAY, about_its_own, fitted_anew, has_other_light, has_strayed
+from validation.diagnose.anew import (
+    ON_THE_WAY,
+    TWIN_ANEW,
+    about_its_own,
+    by_twin,
+    fitted_anew,
+    has_other_light,
+    has_strayed,
+    total_chi2,
+)
 from validation.diagnose.ending import beside, finished, is_stuck, unstuck
 from validation.diagnose.frozen import FrozenImages, frozen_at, slopes_of, without
 from validation.diagnose.refit import freed, switched
@@ -27,7 +37,7 @@ from validation.diagnose.refitted import Refitted
 from validation.diagnose.score import Candidate, Score
 from validation.effects.known import applied, with_effect
 from validation.effects.signatures import Column, Projection
-from validation.fit import Fit, fit
+from validation.fit import Fit, fit, refitted
 from validation.fit.anchored_fit import AT_FIRST
 from validation.fit.problem import view_of
 from validation.measured import MeasuredImage
@@ -402,8 +412,8 @@ def test_a_refit_at_a_limit_is_made_anew_from_where_the_model_began(base: Fit) -
     score = score_of(base)
     found = freed(base, score, slopes_of(base))
     assert found.fit is not None
-    kept, by_twin = found.fit, found.candidate.effect.model_copy(update={"twin": True})
-    found = replace(found, candidate=replace(found.candidate, effect=by_twin))
+    kept, smooth = found.fit, found.candidate.effect.model_copy(update={"twin": True})
+    found = replace(found, candidate=replace(found.candidate, effect=smooth))
     assert not is_stuck(found, base)
     at_limit = replace(found, chi2=found.chi2 + 50.0, fit=replace(kept, at_limit=(HALO,)))
     assert is_stuck(at_limit, base)
@@ -414,6 +424,31 @@ def test_a_refit_at_a_limit_is_made_anew_from_where_the_model_began(base: Fit) -
     assert back.chi2 == pytest.approx(found.chi2, abs=3.0)  # another anchor, other noise
     assert back.value == pytest.approx(found.value, rel=0.05)  # frozen derivatives against its own
     assert unstuck(replace(at_limit, chi2=0.0), anchored).chi2 == 0.0
+
+
+def test_a_fit_by_the_twin_has_few_sets_of_derivatives(base: Fit) -> None:
+    """From far away it comes to where one with derivatives at every step comes to; what is hopeless has one set."""
+
+    class Counted(Affected):
+        sets = 0
+
+        def images(self, model: Any, views: Any, paths: Any = (), anchor: Any = None) -> list[Predicted]:
+            self.sets += HALO in paths  # else those of poses, which cost nothing
+            return super().images(model, views, paths, anchor)
+
+    predictor, anchor = Counted(), base.problem.anchor
+    assert anchor is not None
+    problem = replace(base.problem, predictor=predictor)
+    start = base.problem.unknowns.named(base.values) | {path: MODEL.leaves()[path] for path in PATHS}
+    start[HALO] = 0.35
+    found = by_twin(problem, start)
+    assert 1 < predictor.sets <= TWIN_ANEW
+    whole = refitted(replace(problem, anchor=replace(anchor, histories=0)), found.values)
+    assert total_chi2(found) == pytest.approx(total_chi2(whole), abs=0.5)
+    assert found.problem.predictor is predictor
+    predictor.sets = 0
+    by_twin(problem, start, below=0.0)
+    assert predictor.sets == 1
 
 
 def test_monte_carlo_is_not_asked_where_the_twin_begins_worse(base: Fit, monkeypatch: pytest.MonkeyPatch) -> None:
