@@ -209,7 +209,7 @@ def test_a_blind_test_over_real_processes(settings: Settings, plan: Path, tmp_pa
     document = json.loads(scored.stdout)
     assert document["sets"] == 2
     assert sorted(one["truth"] for one in document["marks"]) == ["ambient_gradient", "outside: smear"]
-    assert len(document["table"]) == 18
+    assert len(document["table"]) == 20
     page = (tmp_path / "score.html").read_text(encoding="utf-8")
     assert document["sentence"] in page
     assert all(one["id"] in page for one in document["marks"])
