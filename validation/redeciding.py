@@ -18,7 +18,7 @@ from luxloop.errors import InputError
 from luxloop.model import Model
 from luxloop.model_file import diff, parse_toml
 from validation.diagnose.explained import Share
-from validation.diagnose.explanation import LEVEL, Explanation
+from validation.diagnose.explanation import Explanation
 from validation.diagnose.held_out import Change
 from validation.diagnose.ladder import BEFORE, Rung
 from validation.diagnose.verdict import (
@@ -55,8 +55,7 @@ def verdict_of(document: Document, tried: Sequence[Explanation]) -> Verdict | No
     if not tried or not is_visible(document["structure"]["p"], document["scores_p"]):
         return None
     added = document["added"]
-    together = len(added) > 1 and added[-1]["p_left"] >= LEVEL / 2.0
-    beside = [str(row["name"]) for row in added[1:]] if together else None
+    beside = added[0].get("beside") if added else None  # told since decision 54
     found = decided(tried, document["known"], str, lambda _: "", beside=beside)
     only = next((one for one in tried if one.name in found.set[:1]), None) if len(added) == 1 else None
     leads_on = bool(added) and added[-1].get("leads_on", False)  # told since decision 44, as errors of shares are

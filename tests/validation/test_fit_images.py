@@ -14,6 +14,7 @@ from luxloop.model import Fit
 from tests.validation.analytic import (
     HALO,
     MODEL,
+    PATHS,
     REACH,
     SIGMA,
     SINGLE,
@@ -320,3 +321,23 @@ def test_no_sensor_is_asked_for_without_a_gain():
     assert not found.trusted
     assert len(Sensed.gains) > 10
     assert min(Sensed.gains) > 0.0
+
+
+def test_without_derivatives_the_residual_is_the_same():
+    """And no derivative is asked for: those by what changes the light in a chip are walks."""
+
+    class Asked(Spots):
+        paths = ()
+
+        def images(self, model, views, paths=(), anchor=None):
+            self.paths = tuple(paths)
+            return super().images(model, views, paths, anchor)
+
+    predictor = Asked()
+    found = fit(MODEL, two_images(), predictor, free=PATHS)
+    problem, white = found.problem, found.whitening
+    with_them = problem.evaluate(found.values).residual(white)
+    assert set(PATHS) < set(predictor.paths)
+    without = problem.evaluate(found.values, derivatives=False).residual(white)
+    assert predictor.paths == ()
+    np.testing.assert_array_equal(without, with_them)

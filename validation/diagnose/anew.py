@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -94,10 +94,14 @@ def by_twin(problem: Problem, start: Mapping[str, float], below: float = np.inf)
     for _ in range(TWIN_ANEW):
         at, found = problem.unknowns.named(values), refitted(frozen_at(lent, values), values, TWIN_STEPS, below)
         values = found.values
-        is_near = all(abs(found.value(path) - at[path]) <= NEAR * found.error(path) for path in paths)
-        if is_near or total_chi2(found) - found.gap > below:
+        if is_near(found, at, paths, NEAR) or total_chi2(found) - found.gap > below:
             break
     return thawed(found, lent)
+
+
+def is_near(found: Fit, at: Mapping[str, float], paths: Sequence[str], errors: float) -> bool:
+    """Whether all of these parameters are within so many of their errors of given values."""
+    return all(abs(found.value(path) - at[path]) <= errors * found.error(path) for path in paths)
 
 
 def chi2_by_twin(problem: Problem, start: Mapping[str, float]) -> float:

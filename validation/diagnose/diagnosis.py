@@ -25,7 +25,7 @@ from validation.diagnose.refitted import Refitted
 from validation.diagnose.rounds import Diagnosis, Step, is_the_rest, trusted
 from validation.diagnose.score import Candidate, Projected, Scores, scores
 from validation.diagnose.tried import GroundOf, MembersFit, Progress, Tried, columns_of, short_list
-from validation.diagnose.verdict import decided, is_visible, not_trustworthy, nothing_visible
+from validation.diagnose.verdict import Verdict, decided, is_visible, not_trustworthy, nothing_visible
 from validation.effects.confounding import Confounding, confounding
 from validation.fit import NOT_CONVERGED, Fit
 
@@ -76,7 +76,9 @@ def diagnosed(
     first, *further = trusted(steps)
     is_open = first is part or first.verdict.word == "cannot_tell_apart"
     if further and is_open and is_the_rest(first, further[-1], level):
-        first = _named(first, len(effects), means, level, [one.best.name for one in further])
+        beside = tuple(one.best.name for one in further)
+        verdict, proposals = _verdict_on(first, len(effects), means, level, beside)
+        first = replace(first, verdict=verdict, proposals=proposals, beside=beside)
     return Diagnosis((first, *further), len(effects))
 
 
@@ -87,18 +89,21 @@ def _as_part(step: Step, known: int, level: float) -> Step | None:
     return replace(step, verdict=decided(step.explanations, known, str, lambda _: "", level, beside=()))
 
 
-def _named(step: Step, known: int, means: Means, level: float, beside: Collection[str] | None = None) -> Step:
-    """The round with its verdict on what was tried, and the measurements that this asks for."""
+def _verdict_on(
+    tried: Tried | Step, known: int, means: Means, level: float, beside: Collection[str] | None = None
+) -> tuple[Verdict, tuple[Proposal, ...]]:
+    """The verdict on what was tried in a round, and the measurements that it asks for."""
     proposals: list[Proposal] = []
+    fit = tried.ground.fit
 
     def next_image(names: Sequence[str]) -> str:
-        by_name = {one.candidate.effect.name: one for one in step.refits}
-        proposals[:] = means.next_image(step.ground.fit, [by_name[name] for name in names])
-        return next_in_words(proposals, images=bool(step.ground.fit.problem.images))
+        by_name = {one.candidate.effect.name: one for one in tried.refits}
+        proposals[:] = means.next_image(fit, [by_name[name] for name in names])
+        return next_in_words(proposals, images=bool(fit.problem.images))
 
-    left = partial(left_in_words, step.ground, step.explanations)
-    verdict = decided(step.explanations, known, left, next_image, level, beside=beside)
-    return replace(step, verdict=verdict, proposals=tuple(proposals))
+    left = partial(left_in_words, tried.ground, tried.explanations)
+    verdict = decided(tried.explanations, known, left, next_image, level, beside=beside)
+    return verdict, tuple(proposals)
 
 
 def _step(ground: Ground, effects: Sequence[EffectSpec], means: Means, seed: int, level: float) -> Step:
@@ -125,8 +130,8 @@ def _step(ground: Ground, effects: Sequence[EffectSpec], means: Means, seed: int
     tried.refit(means.progress)
     tried.finish(means.progress)
     tried.look_into_group(means.members_fit, means.ground_of)
-    step = Step(ground, scored, alike, tuple(tried.refits), tuple(tried.explanations), nothing_visible(()))
-    return _named(step, len(effects), means, level)
+    verdict, proposals = _verdict_on(tried, len(effects), means, level)
+    return Step(ground, scored, alike, tuple(tried.refits), tuple(tried.explanations), verdict, proposals)
 
 
 def _scored(ground: Ground, candidates: Sequence[Candidate], seed: int) -> tuple[Projected, Scores]:

@@ -50,7 +50,8 @@ def document(found: Diagnosis, seed: int) -> dict[str, Any]:
         },
         "added": [
             {"name": one.best.name, "size": one.best.size, "p_left": one.best.p_left, "share": one.best.share.value,
-                "share_error": finite(one.best.share.error), "leads_on": one.leads_to is not None}
+                "share_error": finite(one.best.share.error), "leads_on": one.leads_to is not None,
+                "beside": None if one.beside is None else list(one.beside)}
             for one in found.steps if one.verdict.names
         ],
         "next_measurement": _next(found.proposals),

@@ -23,6 +23,7 @@ from validation.diagnose.anew import (
     has_monte_carlo,
     has_other_light,
     has_strayed,
+    is_near,
     start_of,
     thawed,
     total_chi2,
@@ -82,7 +83,8 @@ def finished(found: Refitted, predictor: ImagePredictor, curves: CurvePredictor 
 def _left_off(found: Refitted, problem: Problem, own: Fit) -> tuple[Refitted, Fit]:
     """The fit without numbers that went to the end of their range beside the one that scored, if it stays inside.
 
-    As `freed` does, for what only derivatives of its own, or Monte Carlo where it ends, have driven there.
+    As `freed` does, for what only derivatives of its own, or Monte Carlo where it ends, have driven there. Effects
+    that the twin cannot follow end otherwise (`_at_its_value`) and keep such a number.
     """
     first, *others = (found.candidate, *found.candidate.others)
     inside = [one for one, path in zip(others, found.paths[1:], strict=True) if path not in own.at_limit]
@@ -196,9 +198,8 @@ def _renewed(problem: Problem, values: Real) -> Fit:
     """
     found = refitted(frozen_at(problem, values), values, STEPS)
     for _ in range(MAX_ANCHORS - 1):
-        paths = problem.unknowns.model_paths
         at = dict(zip(found.names, values, strict=True))
-        if all(abs(found.value(path) - at[path]) <= ANCHOR_MOVE * found.error(path) for path in paths):
+        if is_near(found, at, problem.unknowns.model_paths, ANCHOR_MOVE):
             break
         values = found.values
         found = refitted(frozen_at(replace(problem, images=found.problem.images), values), values, STEPS)

@@ -31,6 +31,8 @@ class Step:
     verdict: Verdict
     proposals: tuple[Proposal, ...] = ()
     """Where it cannot tell effects apart: the measurements that would."""
+    beside: tuple[str, ...] | None = None
+    """Effects of further rounds with which the verdict was made: together with its best one they leave nothing."""
 
     @property
     def best(self) -> Explanation:

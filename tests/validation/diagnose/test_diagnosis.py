@@ -50,6 +50,7 @@ from validation.diagnose.refit import posed, refit
 from validation.diagnose.refitted import with_fit
 from validation.diagnose.rounds import Diagnosis, Step, is_the_rest, trusted
 from validation.diagnose.score import Projected, scores
+from validation.diagnose.verdict import decided
 from validation.fit import NOT_CONVERGED, Fit, fit, refitted
 from validation.fit.parameters import free_paths
 from validation.prediction import Anchored
@@ -428,6 +429,22 @@ def test_two_effects_are_named_where_neither_explains_half(ripple: float, stripe
     alone = diagnosis(images, known=(spec("ripple"), *others))
     assert alone.verdict.word == "none_of_the_known"
     assert len(alone.steps) == 1
+
+
+def test_a_replay_takes_a_second_effect_for_no_rival_only_where_the_diagnosis_did() -> None:
+    """A first round that stayed open, for the first effect was gone beside the second, stays open in a replay."""
+    both = {"ripple": {"size": 0.0077}, "stripes": {"size": 0.0093, "length_um": 300.0}}
+    effects = tuple(AppliedEffect(name=name, parameters=dict(of)) for name, of in both.items())
+    images = images_of(MODEL.model_copy(update={"effects": effects}), 2)
+    first, rest = diagnosis(images, known=(spec("ripple"), CATALOGUE[3], CATALOGUE[2], RISE)).steps
+    assert first.beside == (rest.best.name,)
+    open_ = decided(first.explanations, 5, str, lambda _: "")
+    assert open_.word == "cannot_tell_apart"
+    for step, word in ((first, "one_effect"), (replace(first, verdict=open_, beside=None), open_.word)):
+        said = json.loads(json.dumps(document(Diagnosis((step, rest), 5), 1)))
+        again = verdict_of(said, [explanation_of(row) for row in said["effects"]])
+        assert again is not None
+        assert (again.word, said["verdict"]) == (word, word)
 
 
 def test_the_first_of_two_must_be_there_beside_the_second() -> None:
