@@ -17,7 +17,6 @@ class CurrentCrowding(SceneEffect):
     stage = "emission"
     formula = "emission x (1 + c1 x/W + c2 (4 r^2/W^2 - 2/3)), whose mean is 1; x, r from the chip's centre"
     reference = "lateral spreading of current (Guo, Schubert, J. Appl. Phys. 90, 4191, 2001); judgement for the rim"
-    walks = True
     conserves = ("energy",)
 
     rise: float = parameter("c1, the rise from one side to the other", unit="", lower=-0.6, upper=0.6, off=0.0)

@@ -14,7 +14,6 @@ class DbrAbsorption(StackEffect):
     of = ("dbr",)
     formula = "n -> n + i k in the AlN layers"
     reference = "defects of AlN absorb in the blue; engineering judgement for the range"
-    walks = True
     conserves = ("reciprocity",)
 
     extinction: float = parameter("added to the k of AlN", unit="", lower=0.0, upper=0.01, off=0.0, one_sided=True)

@@ -19,7 +19,6 @@ class ElectrodeShadow(SceneEffect):
     stage = "emission"
     formula = "emission 0 in a square of side W sqrt(f) at a corner, normalised"
     reference = "opaque pads of lateral chips cover some 5 to 30 % of them; engineering judgement"
-    walks = True
     conserves = ("energy",)
 
     dark_share: float = parameter("f, of the chip's area", unit="", lower=0.0, upper=0.3, off=0.0, one_sided=True)

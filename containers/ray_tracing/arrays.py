@@ -114,6 +114,7 @@ X, Y, Z, DX, DY, DZ, WEIGHT, EVENT, CHIP_X, CHIP_Y, RAY = range(11)
 THROUGH_TOP, FROM_SIDES, AFTER_TOP, AFTER_RECEIVER = range(4)
 """The paper's optical events: through the DBR, directly from the sides, after the top, after the receiver."""
 
-BOTTOM_HITS, PATH, TOP_HITS, TOP_COSINES, TRACE = 0, 1, 2, 3, 7
-"""Entries of what a walk in a chip notes: bottom hits, path (um), reflections at the top inside the escape cone, and
-their cosines in the chip (the first four)."""
+BOTTOM_HITS, PATH, TOP_HITS, BORN_X, BORN_Y, TOP_COSINES, BEYOND, TRACE = 0, 1, 2, 3, 4, 5, 9, 17
+"""Entries of what a walk in a chip notes: bottom hits, path (um), reflections at the top inside the escape cone,
+where its light was born (um from the chip's centre), the cosines of those reflections (the first four), and counts of
+reflections at the top beyond the critical angle, by cosine in equal steps from 0 to that of this angle."""

@@ -101,10 +101,7 @@ def _walk_unfolded(scene: SceneArrays, wave: int, ray: Real, stream: Stream, led
                             return OUT
                         ledger[of.DBR_END] += weight
                         return ENDED
-                    hits = int(trace[of.TOP_HITS])
-                    if hits < of.TRACE - of.TOP_COSINES:
-                        trace[of.TOP_COSINES + hits] = dz
-                    trace[of.TOP_HITS] += 1.0
+                _note_top(trace, dz, leaks)
                 topped = True
         weight = _dim(weight, alpha * min(abs(leaves_at), bottom_at), ledger)
         if abs(leaves_at) <= bottom_at:
@@ -148,6 +145,19 @@ def _dim(weight: float, depth: float, ledger: Real) -> float:
     left = weight * exp(-depth)
     ledger[of.CHIP_END] += weight - left
     return left
+
+
+@inlined_kernel
+def _note_top(trace: Real, cosine: float, leaks: float) -> None:
+    """Note a reflection at the top; `leaks`: the square of the cosine above which it is inside the escape cone."""
+    if cosine * cosine <= leaks:
+        steps = of.TRACE - of.BEYOND
+        trace[of.BEYOND + min(int(cosine / sqrt(leaks) * steps), steps - 1)] += 1.0
+        return
+    hits = int(trace[of.TOP_HITS])
+    if hits < of.BEYOND - of.TOP_COSINES:
+        trace[of.TOP_COSINES + hits] = cosine
+    trace[of.TOP_HITS] += 1.0
 
 
 @inlined_kernel
@@ -254,7 +264,6 @@ def _walk_plain(scene: SceneArrays, wave: int, ray: Real, stream: Stream, ledger
     n, weight, topped = scene.numbers[of.INDEX + wave], ray[of.WEIGHT], False
     x, y, z, dx, dy, dz = ray[of.X], ray[of.Y], ray[of.Z], ray[of.DX], ray[of.DY], ray[of.DZ]
     faint, leaks, steep = FAINT * weight, 1.0 - 1.0 / (n * n), 0.0
-    lossy = scene.flags[of.TOP_LOSSY] == 1
     while True:
         to_x = ((half if dx > 0.0 else -half) - x) / dx if dx != 0.0 else inf
         to_y = ((half if dy > 0.0 else -half) - y) / dy if dy != 0.0 else inf
@@ -303,8 +312,4 @@ def _walk_plain(scene: SceneArrays, wave: int, ray: Real, stream: Stream, ledger
             return OUT
         if axis == 2:
             topped = True
-            if lossy or steep * steep > leaks:
-                hits = int(trace[of.TOP_HITS])
-                if hits < of.TRACE - of.TOP_COSINES:
-                    trace[of.TOP_COSINES + hits] = steep
-                trace[of.TOP_HITS] += 1.0
+            _note_top(trace, steep, leaks)

@@ -85,15 +85,19 @@ class ExitSource:
         seed: int,
         blocks: int,
         *,
+        first_block: int = 0,
         notes: bool = False,
         report: Callable[[float], None] | None = None,
     ) -> Exits:
-        """The first `blocks` blocks of each group as one set, for the chip of a scene; raises InputError for none."""
+        """`blocks` blocks of each group as one set, the first where a batch begins, for the chip of a scene.
+
+        Raises InputError for no blocks.
+        """
         if blocks < 1:
             raise InputError("blocks", blocks, "at least 1")
         batch_at, found, done = self.batches(scene, seed, notes=notes, report=report), list[Exits](), 0
         while done < blocks:
-            found.append(batch_at(done))
+            found.append(batch_at(first_block + done))
             done += found[-1].ledger.shape[1]
         return joined(found, blocks)
 
@@ -101,7 +105,8 @@ class ExitSource:
         arrays = self._store.get(key) if self._store is not None else None
         if arrays is None or set(arrays) != set(_ARRAYS):
             return None
-        return Exits(**arrays, first_block=first_block)
+        rays, notes, ends, ledger = (arrays[name] for name in _ARRAYS)
+        return Exits(rays, notes, ends, ledger, first_block)
 
     def _keep(self, key: str, exits: Exits) -> None:
         """In memory; what was used longest ago goes."""

@@ -32,8 +32,8 @@ from luxloop.process import usable_cores
 Real = NDArray[np.float64]
 Single = NDArray[np.float32]
 
-VERSION = 4
-"""Of the walk inside the chip: another number makes other keys."""
+VERSION = 5
+"""Of the walk inside the chip and what it notes: another number makes other keys."""
 LANDING = 0x9E3779B97F4A7C15
 """Landing draws with the seed turned by this, so that it shares no number with the walk inside the chip."""
 FAN = 2
@@ -56,6 +56,11 @@ class Exits:
     """Of each group's histories."""
     weights: Single | None = None
     """(exit,), factors on the exits' weights where the chip is another than theirs (`reweighting`)."""
+    turned: Single | None = None
+    """(exit, 8), factors of any sign on the weights of the exit's images under the symmetries of the square, where
+    light is born unevenly (`birthplace`); (exit, 1) of itself alone. Only direct light knows them."""
+    uneven: tuple[Exits, ...] = ()
+    """Sets of exits whose mean is what unevenness adds."""
 
     @property
     def histories(self) -> int:
@@ -80,9 +85,13 @@ def chip_scene(scene: Scene) -> Scene:
 
 def chip_key(scene: Scene) -> str:
     """SHA-256 of all that decides the exits of a scene's chip."""
-    alone = chip_scene(scene)
-    arrays = scene_arrays(alone)
-    parts = (arrays.numbers, arrays.flags, arrays.surfaces.layout, arrays.surfaces.tables, *emission_arrays(alone))
+    return scene_key(chip_scene(scene))
+
+
+def scene_key(scene: Scene) -> str:
+    """SHA-256 of all that decides what becomes of light in a scene whose chips have one top."""
+    arrays = scene_arrays(scene)
+    parts = (arrays.numbers, arrays.flags, arrays.surfaces.layout, arrays.surfaces.tables, *emission_arrays(scene))
     digest = hashlib.sha256(f"exits {VERSION}".encode())
     for part in parts:
         digest.update(str((part.dtype.str, part.shape)).encode() + np.ascontiguousarray(part).tobytes())

@@ -94,15 +94,17 @@ def exits_of_group(
     scratch: Scratch,
 ) -> int:
     """Follow histories of a group inside their chip only; the exits, one after the other, into `rays` (n, EXIT) and,
-    where there is room, what `walk_chip` notes into `notes` (n, TRACE). Returns how many there are."""
+    where there is room, what is noted of their way, into `notes` (n, TRACE). Returns how many there are."""
     stream, ray, trace, keys, uniforms = scratch
     scramble_keys(seed, group, keys)
     found = 0
     for place in range(first, first + count):
         start(stream, seed, np.uint64(place) * np.uint64(groups) + np.uint64(group))
         wave = emit(scene, emission, stream, place, sobol, directions, keys, uniforms, ray, ledger)
+        born_x, born_y = ray[of.X], ray[of.Y]
         if not scene.flags[of.FROM_TOP] and walk_chip(scene, wave, ray, stream, ledger, trace) != OUT:
             continue
+        trace[of.BORN_X], trace[of.BORN_Y] = born_x, born_y
         for i in range(EVENT_OF_EXIT):
             rays[found, i] = ray[i]
         rays[found, EVENT_OF_EXIT], rays[found, WAVE_OF_EXIT] = ray[of.EVENT], wave

@@ -133,14 +133,19 @@ def test_columns_are_differences_of_the_twins_images(source: ExitSource, name: s
     assert np.sqrt(np.mean((column - difference) ** 2)) < bound * np.sqrt(np.mean(difference**2))
 
 
-@pytest.mark.parametrize("stored", [False, True])
-def test_at_the_anchor_a_prediction_agrees_with_monte_carlo(source: ExitSource, stored: bool) -> None:
-    """Within the errors of both, for each of two modules."""
+DARK_CORNER = {"name": "electrode_shadow", "parameters": {"dark_share": 0.2, "corner": "left_low"}}
+
+
+@pytest.mark.parametrize(("stored", "effects"), [(False, []), (True, []), (False, [DARK_CORNER])])
+def test_at_the_anchor_a_prediction_agrees_with_monte_carlo(
+    source: ExitSource, stored: bool, effects: list[Any]
+) -> None:
+    """Within the errors of both, for each of two modules; also of chips that shine unevenly."""
     common = {"histories": HISTORIES, "seed": "3", "stored_exits": stored}
     of = worker(source)
-    found = ask(request(anchor=common, exit_seed="2"), of)
+    found = ask(request(*(shot(one, effects=effects) for one in (SINGLE, NINE)), anchor=common, exit_seed="2"), of)
     for number, array in enumerate((SINGLE, NINE)):
-        wanted = shot(array)
+        wanted = shot(array, effects=effects)
         camera = wanted.pop("camera")
         seen = ask(json.loads(json.dumps(wanted | common | {"exit_seed": "2", "images": [camera]})), of)
         image, error = found["images_per_mm2"][number], np.sqrt((found["noise_per_mm2"][:, number] ** 2).sum(axis=0))

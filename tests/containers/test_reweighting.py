@@ -9,25 +9,40 @@ import pytest
 from numpy.typing import NDArray
 
 from containers.bsdf import Bsdf, GaussianLobe, Lambertian, Mixture, SpecularTable
-from containers.ray_tracing.arrays import THROUGH_TOP
+from containers.effects.dbr_absorption import DbrAbsorption
+from containers.ray_tracing.arrays import THROUGH_TOP, TRACE
+from containers.ray_tracing.build import film_faces
 from containers.ray_tracing.exits import Exits, chip_key, make_exits
 from containers.ray_tracing.kernel import EVENT_OF_EXIT, WEIGHT_OF_EXIT
 from containers.ray_tracing.monte_carlo import BLOCK
 from containers.ray_tracing.twin.reweighting import lender_of, reweighted
 from containers.scene import Face, Scene
+from containers.thin_film.table import film_table
 from luxloop.errors import InputError
+from luxloop.film import Grid
+from luxloop.model import Environment
+from tests.films import film
 from tests.ray_scenes import N, scene
 
 Real = NDArray[np.float64]
 SIGMA = np.radians(5.0)
 
 
-def top(R: float) -> Face:
-    """A top that reflects alike at all angles of its escape cone."""
+def top(R: float, beyond: float = 1.0) -> Face:
+    """A top that reflects alike inside its escape cone, and `beyond` in the middle between that and grazing."""
     critical = np.arcsin(1.0 / N)
-    theta = np.array([0.0, critical, critical + 1e-9, np.pi / 2])
-    inside = SpecularTable(theta, np.array([R, R, 1.0, 1.0]), np.array([1.0 - R, 1.0 - R, 0.0, 0.0]), N)
+    theta = np.array([0.0, critical, critical + 1e-9, (critical + np.pi / 2) / 2, np.pi / 2])
+    kept, through = np.array([R, R, 1.0, beyond, 1.0]), np.array([1.0 - R, 1.0 - R, 0.0, 0.0, 0.0])
+    inside = SpecularTable(theta, kept, through, N)
     return Face((inside,), (SpecularTable(np.array([0.0]), np.array([R]), np.array([1.0 - R]), 1.0 / N),))
+
+
+def face(pairs: float, k: float = 0.0, roughness_nm: float = 0.0) -> Face:
+    """The paper's DBR, whose AlN absorbs, or whose faces are rough."""
+    if k:
+        stack = DbrAbsorption(extinction=k).stack(film(pairs).stack)
+        return film_faces(Environment(), film_table(stack, grid=Grid(wavelengths=21)))
+    return film_faces(Environment(), film(pairs, roughness_nm))
 
 
 def leaving(exits: Exits) -> Real:
@@ -43,19 +58,11 @@ CHANGES = {
     "bottom": lambda s: replace(s, substrate=GaussianLobe(0.955, SIGMA)),
     "absorption": lambda s: replace(s, chip=replace(s.chip, absorption_per_um=2e-3)),
     "top": lambda s: replace(s, chip=replace(s.chip, top=top(0.45))),
+    "loss beyond the critical angle": lambda s: replace(s, chip=replace(s.chip, top=top(0.38, 0.95))),
     "all": lambda s: replace(
-        s, substrate=GaussianLobe(0.98, SIGMA), chip=replace(s.chip, absorption_per_um=0.5e-3, top=top(0.35))
+        s, substrate=GaussianLobe(0.98, SIGMA), chip=replace(s.chip, absorption_per_um=0.5e-3, top=top(0.35, 0.99))
     ),
 }
-
-
-def test_a_top_that_absorbs_from_total_reflection_is_another_chip(stored: tuple[Scene, Exits]) -> None:
-    """Hits beyond the critical angle are not noted where nothing is lost there, so no weight can hold their loss."""
-    own, exits = stored
-    lossy = SpecularTable(np.array([0.0, np.pi / 2]), np.array([0.4, 0.9]), np.zeros(2), N)
-    absorbing = replace(own, chip=replace(own.chip, top=Face((lossy,), own.chip.top.outside)))
-    with pytest.raises(InputError, match="not noted"):
-        reweighted(exits, own, absorbing)
 
 
 @pytest.fixture(scope="module")
@@ -129,7 +136,7 @@ def test_exits_without_notes_are_refused(stored: tuple[Scene, Exits]) -> None:
     """There is nothing to reckon from."""
     own, exits = stored
     with pytest.raises(InputError, match="notes=True"):
-        reweighted(replace(exits, notes=np.zeros((0, 7), np.float32)), own, own)
+        reweighted(replace(exits, notes=np.zeros((0, TRACE), np.float32)), own, own)
 
 
 ROUGH = GaussianLobe(0.97, np.radians(20.0))
@@ -174,3 +181,21 @@ def test_chips_on_a_mirror_have_one_chip_between_whatever_lies_below_it() -> Non
     moved = [replace(other, emission=upwards, substrate=GaussianLobe(r, SIGMA)) for r in (0.9, 0.91)]
     keys = {chip_key(lender_of(wanted, one)) for wanted in moved}
     assert keys == {chip_key(replace(one, emission=upwards))}
+
+
+@pytest.mark.parametrize(
+    ("pairs", "changes"), [(2.5, {"k": 0.005}), (5.5, {"k": 0.002}), (5.5, {"roughness_nm": 4.0})]
+)
+def test_a_film_that_absorbs_or_is_rough_has_no_walks_of_its_own(pairs: float, changes: dict[str, float]) -> None:
+    """Fringes beyond the critical angle and all; the film that takes no light there lends its exits."""
+    plain, other = (scene({"absorption_per_um": 1e-3, "top": face(pairs, **some)}) for some in ({}, changes))
+    exits = make_exits(plain, 3, 4 * BLOCK, notes=True)
+    full, lent = leaving(make_exits(other, 4, 16 * BLOCK)), leaving(reweighted(exits, plain, other).exits)
+    error = np.sqrt((full.var(axis=0, ddof=1) + lent.var(axis=0, ddof=1)) / len(full))
+    np.testing.assert_array_less(np.abs(lent.mean(axis=0) - full.mean(axis=0)), 4.0 * error)
+    if "k" in changes:  # roughness turns light, and takes none
+        assert np.max(np.abs(leaving(exits).mean(axis=0) - full.mean(axis=0)) / error) > 8.0
+    back = reweighted(make_exits(other, 3, 4 * BLOCK, notes=True), other, plain)
+    again = leaving(make_exits(plain, 4, 16 * BLOCK))
+    error = np.sqrt((again.var(axis=0, ddof=1) + leaving(back.exits).var(axis=0, ddof=1)) / len(again))
+    np.testing.assert_array_less(np.abs(leaving(back.exits).mean(axis=0) - again.mean(axis=0)), 4.0 * error)

@@ -120,7 +120,6 @@ class {Name}(SceneEffect):
 
     name = "{name}"
     stage = "emission"
-    walks = True  # light takes other ways inside the chip with each value; False where it is weighted otherwise
     formula = "w -> w (1 + c x), x = -1 to 1 across the chip"
     reference = "where the formula is written, or: engineering judgement"
 

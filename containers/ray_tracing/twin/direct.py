@@ -39,6 +39,7 @@ from containers.ray_tracing.kernel import scratch
 from containers.ray_tracing.monte_carlo import BLOCK
 from containers.ray_tracing.packing import scene_arrays
 from containers.ray_tracing.tally import OPTICAL_EVENTS, Box, Tally
+from containers.ray_tracing.twin.birthplace import IMAGES
 from containers.ray_tracing.twin.direct_kernel import WayArrays, land_direct
 from containers.scene import Receiver, Scene
 from luxloop.errors import InputError
@@ -130,8 +131,8 @@ def direct_light(
     way: Way,
     emission: EmissionArrays,
     exits: Exits,
-    seed: int,
     *,
+    seed: int,
     blocks: int | None = None,
     groups: int | None = None,
     threads: int | None = None,
@@ -159,6 +160,7 @@ def direct_light(
         for group in range(together * own // groups, (together + 1) * own // groups):
             mine = slice(exits.ends[group, 0], exits.ends[group, blocks])
             weights = np.zeros(0, np.float32) if exits.weights is None else exits.weights[mine]
+            turned = np.zeros((0, len(IMAGES)), np.float32) if exits.turned is None else exits.turned[mine]
             first = exits.first_block * BLOCK
             land_direct(
                 way.arrays,
@@ -169,6 +171,7 @@ def direct_light(
                 first,
                 exits.rays[mine],
                 weights,
+                turned,
                 lost,
                 work,
                 bins[together],

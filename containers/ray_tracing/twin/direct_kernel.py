@@ -35,6 +35,7 @@ from containers.ray_tracing.philox import RECEIVER as RECEIVER_KIND
 from containers.ray_tracing.philox import SUBSTRATE, Stream, follow_up, start
 from containers.ray_tracing.recording import recorded_share
 from containers.ray_tracing.surfaces import REFLECTED, albedo, scatter
+from containers.ray_tracing.twin.birthplace import IMAGES
 
 Real = NDArray[np.float64]
 Single = NDArray[np.float32]
@@ -66,11 +67,15 @@ def land_direct(
     first: int,
     rays: Single,
     weights: Single,
+    turned: Single,
     sinks: Sinks,
     scratch: Scratch,
     bins: Real,
 ) -> None:
-    """Follow exits, number `first` and on of a group, into `bins` (layer, y, x)."""
+    """Follow exits, number `first` and on of a group, into `bins` (layer, y, x).
+
+    `weights`, `turned`: as `Exits` has them, none where they are empty.
+    """
     stream, ray, trace, _, _ = scratch
     scene = way.scene
     for number in range(rays.shape[0]):
@@ -84,7 +89,7 @@ def land_direct(
             ray[Z] = scene.numbers[DISTANCE]
         landed = path > 0.0 or reaches_receiver(scene, wave, ray, stream, sinks, trace)
         while landed:
-            _arrive(way, ray, stream, bins)
+            _arrive(way, ray, stream, turned[number : number + 1], bins)
             landed = _sent_on(way, wave, ray, stream, faintest) and reaches_receiver(
                 scene, wave, ray, stream, sinks, trace
             )
@@ -103,17 +108,28 @@ def reaches_receiver(scene: SceneArrays, wave: int, ray: Real, stream: Stream, s
 
 
 @inlined_kernel
-def _arrive(way: WayArrays, ray: Real, stream: Stream, bins: Real) -> None:
-    """Put a ray that is at the receiver into the bins."""
+def _arrive(way: WayArrays, ray: Real, stream: Stream, turned: Single, bins: Real) -> None:
+    """Put a ray that is at the receiver into the bins, or its images with the weights (1, image) that they have."""
     scene, x, y = way.scene, ray[X], ray[Y]
     if scene.flags[PERIODIC]:
         x -= scene.numbers[SPACING] * floor(x / scene.numbers[SPACING] + 0.5)
         y -= scene.numbers[SPACING] * floor(y / scene.numbers[SPACING] + 0.5)
     weight = ray[WEIGHT] * way.kept ** float(stream[2 + SUBSTRATE])
-    _deposit(bins, 0, way.box, x, y, weight)
+    more = weight * (recorded_share(scene, ray[DZ]) - 1.0) if bins.shape[0] > 1 else 0.0
+    if turned.shape[0] == 0:
+        _put(bins, way.box, x, y, weight, more)
+        return
+    for image in range(turned.shape[1]):
+        share = turned[0, image] / turned.shape[1]
+        to_x, to_y, swapped = IMAGES[image]
+        _put(bins, way.box, (y if swapped else x) * to_x, (x if swapped else y) * to_y, share * weight, share * more)
+
+
+@inlined_kernel
+def _put(bins: Real, box: Real, x: float, y: float, weight: float, more: float) -> None:
+    _deposit(bins, 0, box, x, y, weight)
     if bins.shape[0] > 1:
-        seen = recorded_share(scene, ray[DZ])
-        _deposit(bins, 1, way.box, x, y, weight * (seen - 1.0))
+        _deposit(bins, 1, box, x, y, more)
 
 
 @inlined_kernel

@@ -21,6 +21,10 @@ Real = NDArray[np.float64]
 CUT = 1.3 * 10.65
 """Wave number times height up to which a module's field has waves, the taper of its modes included."""
 MOST_FUNCTIONS = 200
+"""Of a symmetric module, which has no more, and of any where many pixels are looked at."""
+MOST_OF_ANY, MOST_VALUES = 1000, 1 << 24
+"""Of a module without the symmetries, as long as functions times pixels are not more than so many values: 200 of its
+961 left out half of the noise (5 x 5 chips)."""
 BEYOND = 0.5
 """Heights by which the functions' own period passes the pixels, so that they need not be flat at the edge."""
 NEIGHBOURS = 4
@@ -60,6 +64,7 @@ class NoiseBasis:
         height_um: float,
         *,
         symmetric: bool,
+        most: int = MOST_FUNCTIONS,
         like: NoiseBasis | None = None,
     ) -> NoiseBasis:
         """The functions for an image.
@@ -70,11 +75,12 @@ class NoiseBasis:
         reach_um : how far from the centre any pixel of the module's images lies, in x or in y.
         height_um : from the chips' top to the receiver.
         symmetric : whether the module has the eight symmetries of the square.
+        most : functions, the widest waves.
         like : of another image of the same module, whose functions are taken.
         """
         variance = np.maximum(light.ravel(), FAINT * float(light.max()))
         period_um = reach_um + BEYOND * height_um
-        functions = _functions(x_um.ravel(), y_um.ravel(), period_um, height_um, symmetric)
+        functions = _functions(x_um.ravel(), y_um.ravel(), period_um, height_um, symmetric, most)
         if like is None:
             left = np.abs(np.diagonal(_triangle(functions)))  # of a function, beside those before it
             told = np.flatnonzero(left > ALIKE * np.linalg.norm(functions, axis=1)[: left.size])
@@ -125,7 +131,12 @@ def _strength(deviations: Real, columns: Real, outwards: Real) -> Real:
     return np.asarray(found)
 
 
-def _functions(x_um: Real, y_um: Real, period_um: float, height_um: float, symmetric: bool) -> Real:
+def most_functions(pixels: int, *, symmetric: bool) -> int:
+    """How many functions at most tell the noise of images of so many pixels together."""
+    return MOST_FUNCTIONS if symmetric else max(MOST_FUNCTIONS, min(MOST_OF_ANY, MOST_VALUES // max(pixels, 1)))
+
+
+def _functions(x_um: Real, y_um: Real, period_um: float, height_um: float, symmetric: bool, count: int) -> Real:
     """(function, pixel), widest waves first.
 
     Products of cosines, alike in x and y; of cosines and sines where the module is not symmetric.
@@ -134,7 +145,7 @@ def _functions(x_um: Real, y_um: Real, period_um: float, height_um: float, symme
     along = [_waves(u, most, period_um, sines=not symmetric) for u in (x_um, y_um)]
     waves = np.r_[np.arange(most + 1), np.arange(1, most + 1) if not symmetric else []]
     places = [(m, n) for m in range(len(waves)) for n in range(m + 1 if symmetric else len(waves))]
-    places = sorted(places, key=lambda p: float(np.hypot(waves[p[0]], waves[p[1]])))[:MOST_FUNCTIONS]
+    places = sorted(places, key=lambda p: float(np.hypot(waves[p[0]], waves[p[1]])))[:count]
     found = [along[0][m] * along[1][n] + (along[0][n] * along[1][m] if symmetric else 0.0) for m, n in places]
     return np.array(found)
 

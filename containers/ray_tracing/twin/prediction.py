@@ -25,10 +25,11 @@ from containers.ray_tracing.exits import Exits, chip_key
 from containers.ray_tracing.field import Field
 from containers.ray_tracing.light_map import LightMap
 from containers.ray_tracing.several_tops import scenes_of
+from containers.ray_tracing.twin.birthplace import born_as_in, evenly_lit, is_even
 from containers.ray_tracing.twin.columns import CameraColumn, Column
 from containers.ray_tracing.twin.direct import in_parallel
 from containers.ray_tracing.twin.module import BINS_PER_HEIGHT, PAD, Lights, ModuleTwin
-from containers.ray_tracing.twin.noise import NoiseBasis, noise_columns
+from containers.ray_tracing.twin.noise import NoiseBasis, most_functions, noise_columns
 from containers.ray_tracing.twin.reweighting import OtherChipError, lender_of, reweighted
 from containers.scene import Array, Scene
 from luxloop.camera import Camera
@@ -44,6 +45,7 @@ RECENT = 32
 Grid = Callable[[Any, Any], Any]
 """From x (x,) and y (y,) to values (..., y, x) in 1/mm^2."""
 Report = Callable[[], None]
+Make = Callable[[Scene], Exits]
 Key = TypeVar("Key")
 Value = TypeVar("Value")
 
@@ -73,6 +75,11 @@ class Shot:
         """What Monte Carlo traces."""
         return self.whole or self.scene
 
+    def evenly_lit(self) -> Shot:
+        """The shot of chips that shine evenly."""
+        whole = None if self.whole is None else evenly_lit(self.whole)
+        return replace(self, scene=evenly_lit(self.scene), whole=whole)
+
     def image(self, light: LightMap, camera: Camera | None = None) -> Real:
         """The irradiance (..., row, column) that the pixels see of a map, by another camera where one is given."""
         camera = camera or self.camera
@@ -82,43 +89,54 @@ class Shot:
 class Supply:
     """Exits of chips, each walked in once; of a chip near another one, the other's exits reweighted.
 
-    Where the other's cannot stand for a chip, those of a chip between the two do (`lender_of`).
+    Where the other's cannot stand for a chip, those of a chip between the two do (`lender_of`). All walks are of
+    chips that shine evenly; what unevenness adds is told by several sets of exits.
 
     Parameters
     ----------
     make : from a scene to exits of its chip, with notes; always with one seed, so that chips share random numbers.
     lights : of chips that are known already; they only save time.
+    others : the same as `make`, further sets of exits for unevenness.
 
     Notes
     -----
     What a chip gets is a function of the chip and its base; what is remembered only saves time.
     """
 
-    def __init__(self, make: Callable[[Scene], Exits], lights: Lights | None = None) -> None:
-        self._make, self.lights = make, Lights() if lights is None else lights
+    def __init__(self, make: Make, lights: Lights | None = None, others: Sequence[Make] = ()) -> None:
+        self._makes, self.lights = (make, *others), Lights() if lights is None else lights
         self._known: OrderedDict[tuple[int, ...], tuple[Scene, str]] = OrderedDict()
-        self._walked: OrderedDict[str, Exits] = OrderedDict()
+        self._walked: OrderedDict[tuple[str, int], Exits] = OrderedDict()
         self._found: OrderedDict[tuple[str, str], Exits] = OrderedDict()
 
     def of(self, scene: Scene, base: Scene | None = None) -> Exits:
         """Exits of the scene's chip: the base's where they can stand for them, else its own."""
-        if base is None or self._key(scene) == self._key(base):
-            return self._walk(scene)
-        pair = self._key(scene), self._key(base)
-        return remembered(self._found, pair, lambda: self._near(scene, base))
+        lender = scene if base is None else base
+        if is_even(scene) and self._key(scene) == self._key(lender):
+            return self._walk(scene, 0)
+        pair = self._key(scene), self._key(lender)
+        return remembered(self._found, pair, lambda: self._near(scene, lender))
 
     def _near(self, scene: Scene, base: Scene) -> Exits:
+        lit, other = evenly_lit(scene), evenly_lit(base)
+        numbers = range(1 if is_even(scene) else len(self._makes))
+        return born_as_in(scene, [self._even(lit, other, number) for number in numbers])
+
+    def _even(self, scene: Scene, base: Scene, number: int) -> Exits:
+        """A set of exits of a chip that shines evenly, as another one is."""
+        if self._key(scene) == self._key(base):
+            return self._walk(scene, number)
         for lender in (base, lender_of(scene, base)):
             try:
-                found = reweighted(self._walk(lender), lender, scene)
+                found = reweighted(self._walk(lender, number), lender, scene)
             except OtherChipError:
                 continue
             good = found.effective_share > EFFECTIVE and found.inexact_share < INEXACT
-            return found.exits if good else self._walk(scene)
-        return self._walk(scene)
+            return found.exits if good else self._walk(scene, number)
+        return self._walk(scene, number)
 
-    def _walk(self, scene: Scene) -> Exits:
-        return remembered(self._walked, self._key(scene), lambda: self._make(scene))
+    def _walk(self, scene: Scene, number: int) -> Exits:
+        return remembered(self._walked, (self._key(scene), number), lambda: self._makes[number](scene))
 
     def _key(self, scene: Scene) -> str:
         """Of its chip; the scene is kept, so that no other gets its ids."""
@@ -159,7 +177,10 @@ class Prediction:
 
 
 class Anchor:
-    """Shots at whose parameters Monte Carlo was run.
+    """Shots at whose parameters Monte Carlo was run; for a worker those of chips that shine evenly.
+
+    What unevenness does to the light is the twin's difference, which traces direct light and weighs birthplaces. In
+    Monte Carlo of uneven chips the eight symmetries are lost, and it has 8 times as much variance.
 
     Parameters
     ----------
@@ -237,8 +258,11 @@ def bases_of(shots: Sequence[Shot], fields: Sequence[Field], light: Real) -> lis
         whole_um = max(r for r, other in zip(reach, fields, strict=True) if other is field)
         like = next((basis for basis, other in zip(found, fields, strict=False) if other is field), None)
         scene = shot.traced
+        most = most_functions(light.size, symmetric=scene.symmetric)
         found.append(
-            NoiseBasis.at(x, y, light[number], whole_um, scene.height_um, symmetric=scene.symmetric, like=like)
+            NoiseBasis.at(
+                x, y, light[number], whole_um, scene.height_um, symmetric=scene.symmetric, most=most, like=like
+            )
         )
     return found
 

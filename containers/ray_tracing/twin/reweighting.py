@@ -5,7 +5,9 @@ have done more or less often is a ratio of probabilities; absorption dims a ray 
 
     (rho' / rho)^bottom hits  x  exp(-(a' - a) path)  x  prod R'(u_i) / R(u_i)  x  T'(u) / T(u) if it left by the top
 
-Over reflections at the top inside the escape cone; of them the walk notes the number and the first four cosines.
+Over reflections at the top. Of those inside the escape cone the walk notes the number and the first four cosines; of
+those beyond the critical angle, where a film that absorbs does not reflect all, how many there were in each of eight
+steps of the cosine.
 Nothing is lost or made on average, at any change; but the larger the change, the fewer exits carry the light.
 """
 
@@ -17,7 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from containers.bsdf import Bsdf, GaussianLobe, Lambertian, Mirror, Mixture
-from containers.ray_tracing.arrays import BOTTOM_HITS, DX, DY, PATH, TOP_COSINES, TOP_HITS, TRACE, Z
+from containers.bsdf.specular import Specular
+from containers.ray_tracing.arrays import BEYOND, BOTTOM_HITS, DX, DY, PATH, TOP_COSINES, TOP_HITS, TRACE, Z
 from containers.ray_tracing.exits import Exits, chip_key
 from containers.ray_tracing.kernel import WAVE_OF_EXIT, WEIGHT_OF_EXIT
 from containers.ray_tracing.twin.direct import without_loss
@@ -26,8 +29,10 @@ from luxloop.errors import InputError
 
 Real = NDArray[np.float64]
 
-NOTED = TRACE - TOP_COSINES
+NOTED = BEYOND - TOP_COSINES
 """Cosines at the top that are noted."""
+STEPS, WITHIN = TRACE - BEYOND, 16
+"""Of the cosine beyond the critical angle, and places within each that its mean is taken over."""
 
 
 class OtherChipError(InputError):
@@ -56,12 +61,13 @@ def reweighted(exits: Exits, stored: Scene, wanted: Scene) -> Reweighted:
     ------
     InputError : exits without notes.
     OtherChipError : chips that differ in more than the bottom's reflectance, the absorption and the
-        top face, or do so in a way that was not noted (the substrate below an air gap, light where there was none,
-        a top that absorbs from total reflection where the other did not).
+        top face, or do so in a way that was not noted (the substrate below an air gap, light where there was none).
 
     Notes
     -----
-    Of reflections at the top beyond the fourth, each counts as the mean (of logarithms) of those that are noted.
+    Of reflections at the top inside the escape cone beyond the fourth, each counts as the mean (of logarithms) of
+    those that are noted; of those beyond the critical angle each as the mean of its step, also where fringes of the
+    film are finer.
     """
     if exits.notes.shape != (len(exits.rays), TRACE):
         raise InputError("exits", "without notes", "exits with notes", "make them with notes=True")
@@ -157,11 +163,9 @@ def _top_factor(exits: Exits, stored: Scene, wanted: Scene) -> Real:
     for wave, n in enumerate(stored.chip.index):
         own = np.flatnonzero(waves == wave)
         before, after = stored.chip.top.inside[wave], wanted.chip.top.inside[wave]
-        if _reflects_totally(before, n) and not _reflects_totally(after, n):
-            mend = "make the exits of this chip"
-            raise OtherChipError(
-                "top", "loses light beyond the critical angle", "no loss: those hits are not noted", mend
-            )
+        if not (isinstance(before, Specular) and isinstance(after, Specular)):
+            raise OtherChipError("top", "another, which scatters", "one that does not", "make the exits of this chip")
+        factor[own] *= np.exp(exits.notes[own, BEYOND:TRACE].astype(float) @ _beyond(before, after, n))
         hits = exits.notes[own, TOP_HITS]
         noted = np.arange(NOTED) < hits[:, None]
         rays, places = np.nonzero(noted)
@@ -174,10 +178,13 @@ def _top_factor(exits: Exits, stored: Scene, wanted: Scene) -> Real:
     return factor
 
 
-def _reflects_totally(face: Bsdf, n: float) -> bool:
-    """Whether a top keeps all light beyond the critical angle: the walk then notes no hits there."""
-    beyond = np.linspace(np.arcsin(1.0 / n) + 1e-6, np.pi / 2, 65)
-    return float(face.deltas(beyond).mirror.min()) > 1.0 - 1e-12
+def _beyond(before: Bsdf, after: Bsdf, n: float) -> Real:
+    """(step,), logarithms of the ratio of reflectances beyond the critical angle, in steps of the cosine."""
+    cosine = (np.arange(STEPS * WITHIN) + 0.5) / (STEPS * WITHIN) * np.sqrt(1.0 - 1.0 / n**2)
+    kept, now = (
+        face.deltas(np.arccos(cosine)).mirror.reshape(STEPS, WITHIN).mean(axis=1) for face in (before, after)
+    )
+    return np.asarray(np.log(np.maximum(now, 1e-300) / np.maximum(kept, 1e-300)))
 
 
 def _ratio(before: Bsdf, after: Bsdf, cosine: Real, part: str) -> Real:

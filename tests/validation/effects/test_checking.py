@@ -5,8 +5,11 @@ On two images of single chips, which is what a trial of seconds can look at.
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
+from containers.effects import side_wall_roughness
 from luxloop.model_file import find_model
 from tests.validation.workers import Workers
 from validation.effects import checking
@@ -19,7 +22,7 @@ from validation.prediction import Predictor
 PAPER = find_model("paper")
 STAGES = ("stack", "surface", "volume", "emission", "geometry", "module", "detector")
 UNSAID = "my_unsaid"
-"""The example of an emission without the line that says that each value has walks of its own."""
+"""Rough side faces without the line that says that each value has walks of its own."""
 
 
 @pytest.fixture(scope="module")
@@ -28,10 +31,10 @@ def workers(tmp_path_factory: pytest.TempPathFactory) -> Workers:
     folder = tmp_path_factory.mktemp("effects")
     for stage in STAGES:
         (folder / f"my_{stage}.py").write_text(source_of(f"my_{stage}", stage))
-    lines = source_of(UNSAID, "emission").splitlines(keepends=True)
-    kept = [line for line in lines if "walks = True" not in line]
-    assert len(kept) == len(lines) - 1
-    (folder / f"{UNSAID}.py").write_text("".join(kept))
+    rough = Path(side_wall_roughness.__file__).read_text()
+    assert "    walks = True\n" in rough
+    unsaid = rough.replace("    walks = True\n", "").replace('"side_wall_roughness"', f'"{UNSAID}"')
+    (folder / f"{UNSAID}.py").write_text(unsaid)
     return Workers(tmp_path_factory.mktemp("films"), folder)
 
 
