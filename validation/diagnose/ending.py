@@ -14,6 +14,7 @@ from luxloop.model import Fit as Limits
 from luxloop.model import Model
 from validation.diagnose.anew import (
     OF_NOISE,
+    OF_TWO_RUNS,
     ON_THE_WAY,
     STEPS,
     about_its_own,
@@ -131,17 +132,20 @@ def beside(found: Refitted, other: Refitted, base: Fit) -> Refitted:
 
 
 def is_stuck(found: Refitted, base: Fit) -> bool:
-    """Whether a parameter that the base fit moves, too, and all samples have in common, is held at its limit."""
+    """Whether the base fit, or this one, holds a parameter at its limit that the base fit moves and all samples have
+    in common: it went there to make up for what the model lacks."""
     if found.fit is None or found.at_limit or found.candidate.is_switch or not is_smooth(found.candidate.effect):
         return False
-    return bool(_held(found.fit, base))
+    return bool(_held(base, base) | _held(found.fit, base))
 
 
 def unstuck(found: Refitted, base: Fit) -> Refitted:
-    """The same from where the model began, not from where it went to make up for the effect, if that fits better.
+    """The same about Monte Carlo of its own, or from where the model began, if that fits better.
 
-    By the twin first, from there and from where it is: Monte Carlo is asked only where the way from there leads out
-    of the corner, and fits about as well.
+    What the twin errs by, carried over from the corner where the base fit's anchor stands, holds a fit there. Where
+    it stays at the limit about its own, too, it is begun from the model's own values: by the twin first, from there
+    and from where it is; Monte Carlo is asked only where the way from there leads out of the corner, and fits about
+    as well.
     """
     fit = found.fit
     if fit is None:
@@ -151,6 +155,11 @@ def unstuck(found: Refitted, base: Fit) -> Refitted:
         fit.problem, model=model, predictor=base.problem.predictor, predict_curves=base.problem.predict_curves
     )
     if not has_monte_carlo(problem):
+        return found
+    own = about_its_own(problem, fit, found.chi2)
+    if total_chi2(own) < found.chi2 - OF_TWO_RUNS:
+        found, fit = with_fit(found, own), own
+    if not _held(fit, base):
         return found
     ended = problem.unknowns.named(fit.values)
     highest = chi2_by_twin(problem, ended) + OF_NOISE

@@ -33,12 +33,12 @@ GroundOf = Callable[[Fit], Ground]
 
 SHORT_LIST = 8
 MOST_ENDED = 4
-"""Of the short list, that are fitted to their end."""
+"""Of the short list, that are fitted to their end, or out of a corner."""
 DOUBTFUL = 0.05
 """Chance of what a group leaves by its line, below which its members are fitted. It is told by the null of the fit
 without it, and so many members leave less of noise than that has: below 0.05 in 2 % of made-up cases."""
 WORTH = 0.3
-"""Of the largest drop of chi2: what a refit that is stuck must reach to be made anew."""
+"""Of the largest drop of chi2: what a refit that is stuck must reach to be fitted out of its corner."""
 
 
 @dataclass(eq=False)
@@ -54,17 +54,18 @@ class Tried:
     explanations: list[Explanation] = field(default_factory=list)
 
     def refit(self, progress: Progress) -> None:
-        """Each effect added to the fit; what is stuck there, and worth it, from where the model began."""
+        """Each effect added to the fit; what is stuck in a corner, and worth it, out of it."""
         fit = self.ground.fit
         slopes = slopes_of(fit)
         for number, one in enumerate(self.short):
             progress(0.2 + 0.7 * number / len(self.short), f"adding {one.name}")
             self.refits.append(refit(fit, one.best, slopes))
             self.explanations.append(self._explained(number))
-        most = max((one.drop for one in self.explanations), default=0.0)
-        for number, one in enumerate(self.short):
-            if is_stuck(self.refits[number], fit) and self.explanations[number].drop > WORTH * most:
-                progress(0.85, f"fitting {one.name}, from where the model began")
+        by_drop = sorted(range(len(self.short)), key=lambda number: -self.explanations[number].drop)
+        least = WORTH * self.explanations[by_drop[0]].drop if by_drop else 0.0
+        for number in by_drop[:MOST_ENDED]:
+            if is_stuck(self.refits[number], fit) and self.explanations[number].drop > least:
+                progress(0.85, f"fitting {self.short[number].name}, out of the corner")
                 self._keep(number, unstuck(self.refits[number], fit))
 
     def finish(self, progress: Progress) -> None:

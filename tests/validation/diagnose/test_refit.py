@@ -456,13 +456,34 @@ def test_monte_carlo_is_not_asked_where_the_twin_begins_worse(base: Fit, monkeyp
     found = freed(base, score_of(base), slopes_of(base))
     assert found.fit is not None
     at_limit = replace(found, fit=replace(found.fit, at_limit=(HALO,)))
-    predictor = Anchors()
+    predictor, asked = Anchors(), list[Fit]()
     anchored = replace(base, problem=replace(base.problem, predictor=predictor))
     begun, stays = replace(base, chi2=120.0), replace(base, chi2=100.0)
     monkeypatch.setattr(ending, "chi2_by_twin", lambda *_: 500.0)
+    monkeypatch.setattr(ending, "about_its_own", lambda _, fit, *__: (asked.append(fit), fit)[1])
     for fits in ([begun, stays], [replace(begun, chi2=90.0, at_limit=(HALO,))], [replace(begun, chi2=600.0)]):
         twins = iter(fits)
         monkeypatch.setattr(ending, "by_twin", lambda *_, twins=twins: next(twins))
         assert unstuck(at_limit, anchored) is at_limit
         assert next(twins, None) is None
-    assert not [at for at in predictor.anchors if at is not None and at.histories]
+        assert asked.pop() is at_limit.fit  # about its own, which leaves it where it is, and no more
+        assert not asked
+
+
+def test_a_refit_beside_a_base_in_a_corner_is_fitted_about_its_own(
+    base: Fit, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What the twin errs by, carried over from the corner, held it: it is out where that gains more than noise."""
+    found = freed(base, score_of(base), slopes_of(base))
+    assert found.fit is not None
+    smooth = found.candidate.effect.model_copy(update={"twin": True})
+    found = replace(found, candidate=replace(found.candidate, effect=smooth))
+    corner = replace(base, at_limit=(HALO,))
+    assert is_stuck(found, corner)
+    assert not is_stuck(replace(found, candidate=replace(found.candidate, effect=RIPPLE)), corner)
+    for gain, freed_by_it in ((20.0, False), (90.0, True)):
+        out = replace(found.fit, chi2=found.fit.chi2 - gain)
+        monkeypatch.setattr(ending, "about_its_own", lambda *_, out=out: out)
+        ended = unstuck(found, corner)
+        assert (ended.fit is out) is freed_by_it
+        assert (ended is found) is not freed_by_it
