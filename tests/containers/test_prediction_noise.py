@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from containers.ray_tracing.twin.noise import MOST_FUNCTIONS, NoiseBasis, noise_columns
+from containers.ray_tracing.twin.noise import MOST_FUNCTIONS, NoiseBasis, most_functions, noise_columns
 
 Real = NDArray[np.float64]
 REACH_UM, HEIGHT_UM = 500.0, 160.0
@@ -22,10 +22,13 @@ def light(x_um: Real, y_um: Real) -> Real:
     return np.asarray((1.0 + (x_um**2 + y_um**2) / HEIGHT_UM**2) ** -2)
 
 
-def basis(shift_um: float = 0.0, *, symmetric: bool = True, like: NoiseBasis | None = None) -> NoiseBasis:
+def basis(
+    shift_um: float = 0.0, *, symmetric: bool = True, like: NoiseBasis | None = None, most: int = MOST_FUNCTIONS
+) -> NoiseBasis:
     """Of an image whose pixels are shifted."""
     x_um, y_um = places(shift_um)
-    return NoiseBasis.at(x_um, y_um, light(x_um, y_um), REACH_UM, HEIGHT_UM, symmetric=symmetric, like=like)
+    seen = light(x_um, y_um)
+    return NoiseBasis.at(x_um, y_um, seen, REACH_UM, HEIGHT_UM, symmetric=symmetric, most=most, like=like)
 
 
 def drawn(of: NoiseBasis, groups: int, seed: int) -> tuple[Real, Real]:
@@ -96,3 +99,20 @@ def test_functions_follow_the_symmetries_and_stay_few() -> None:
     assert len(other.functions) <= MOST_FUNCTIONS
     odd = other.functions.reshape(-1, 24, 24)
     assert np.abs(odd + odd[:, :, ::-1]).max(axis=(1, 2)).min() < 1e-9
+
+
+def test_noise_without_the_symmetries_has_all_its_waves() -> None:
+    """200 functions leave out half of the energy of noise that is alike in all of them; all that there are, none."""
+    assert most_functions(42 * 42 * 6, symmetric=False) > 961  # as many as a module 5 x 5 has
+    assert most_functions(42 * 42 * 6, symmetric=True) == MOST_FUNCTIONS
+    assert most_functions(10**9, symmetric=False) == MOST_FUNCTIONS
+    whole = basis(symmetric=False, most=most_functions(24 * 24, symmetric=False))
+    assert len(whole.factor) > 2 * MOST_FUNCTIONS
+    (noise,), _ = drawn(whole, 1, 4)
+    left = []
+    for of in (basis(symmetric=False), whole):
+        functions = np.linalg.qr((of.functions * np.sqrt(of.weight)).T)[0]
+        seen = noise.ravel() * np.sqrt(of.weight)
+        left.append(1.0 - np.sum((functions.T @ seen) ** 2) / np.sum(seen**2))
+    assert left[0] > 0.4
+    assert left[1] < 1e-6
