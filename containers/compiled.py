@@ -1,8 +1,9 @@
 """The one import of numba in this room: how kernels are compiled, where they are kept, what they leave in memory.
 
 Compiled code lies under `$LUXLOOP_KERNELS/<key>` (default `kernels` in `LUXLOOP_CACHE`), or in `NUMBA_CACHE_DIR`
-where that is set. numba compiles again when the file of a kernel changes, but not when the
-file of a kernel that it calls does; therefore the key is a digest of all files of the same worker that hold kernels.
+where that is set. numba compiles again when the file of a kernel changes, but not when the file of a kernel that it
+calls does; therefore the key is a digest of all files of the same worker that hold kernels, or what kernels are
+handed.
 """
 
 from __future__ import annotations
@@ -20,6 +21,8 @@ from typing import Any, TypeVar, cast
 import numba
 
 Function = TypeVar("Function", bound=Callable[..., Any])
+KERNELS = b"@kernel", b"_kernel\n", b"(NamedTuple)"
+"""What a file holds that compiled code may depend on."""
 MADV_PAGEOUT = 21  # Linux 5.4 and later; older kernels answer EINVAL, which is as good as doing nothing
 
 
@@ -64,7 +67,7 @@ def _kernel_folder(folder: Path) -> str:
         return chosen
     package = folder.parent if (folder.parent.parent / "__init__.py").exists() else folder
     sources = [(path.name, path.read_bytes()) for path in sorted(package.rglob("*.py"))]
-    kernels = [(name, text) for name, text in sources if b"@kernel" in text or b"_kernel\n" in text]
+    kernels = [(name, text) for name, text in sources if any(mark in text for mark in KERNELS)]
     digest = hashlib.sha256(repr(kernels).encode())
     chosen = os.environ.get("LUXLOOP_KERNELS")
     return str((Path(chosen) if chosen else cache_folder() / "kernels") / f"{package.name}-{digest.hexdigest()[:12]}")

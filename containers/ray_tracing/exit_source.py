@@ -91,10 +91,12 @@ class ExitSource:
     ) -> Exits:
         """`blocks` blocks of each group as one set, the first where a batch begins, for the chip of a scene.
 
-        Raises InputError for no blocks.
+        Raises InputError for no blocks, or another first one.
         """
         if blocks < 1:
             raise InputError("blocks", blocks, "at least 1")
+        if first_block % BATCH:
+            raise InputError("first_block", first_block, f"a multiple of {BATCH}")
         batch_at, found, done = self.batches(scene, seed, notes=notes, report=report), list[Exits](), 0
         while done < blocks:
             found.append(batch_at(first_block + done))

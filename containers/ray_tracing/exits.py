@@ -25,7 +25,7 @@ from containers.ray_tracing.monte_carlo import BLOCK, SURVIVAL
 from containers.ray_tracing.packing import emission_arrays, scene_arrays
 from containers.ray_tracing.sobol import DIRECTIONS
 from containers.ray_tracing.tally import GROUPS, Tally
-from containers.scene import Cell, Receiver, Scene
+from containers.scene import Array, Cell, Receiver, Scene
 from luxloop.errors import InputError
 from luxloop.process import usable_cores
 
@@ -56,11 +56,8 @@ class Exits:
     """Of each group's histories."""
     weights: Single | None = None
     """(exit,), factors on the exits' weights where the chip is another than theirs (`reweighting`)."""
-    turned: Single | None = None
-    """(exit, 8), factors of any sign on the weights of the exit's images under the symmetries of the square, where
-    light is born unevenly (`birthplace`); (exit, 1) of itself alone. Only direct light knows them."""
-    uneven: tuple[Exits, ...] = ()
-    """Sets of exits whose mean is what unevenness adds."""
+    births: Births | None = None
+    """Of a chip that shines unevenly, the exits being those of one that shines evenly; only direct light knows it."""
 
     @property
     def histories(self) -> int:
@@ -71,6 +68,17 @@ class Exits:
     def nbytes(self) -> int:
         """In memory."""
         return int(self.rays.nbytes + self.notes.nbytes + self.ends.nbytes + self.ledger.nbytes)
+
+
+@dataclass(frozen=True)
+class Births:
+    """Where the light of a chip is born, and further sets of exits that tell what that changes."""
+
+    weights: Real
+    """(y, x), of equal cells of the chip's area, of mean 1."""
+    width_um: float
+    others: tuple[Exits, ...] = ()
+    """With notes, as the first set has them."""
 
 
 def chip_scene(scene: Scene) -> Scene:
@@ -92,8 +100,9 @@ def scene_key(scene: Scene) -> str:
     """SHA-256 of all that decides what becomes of light in a scene whose chips have one top."""
     arrays = scene_arrays(scene)
     parts = (arrays.numbers, arrays.flags, arrays.surfaces.layout, arrays.surfaces.tables, *emission_arrays(scene))
+    powers = [scene.layout.power] if isinstance(scene.layout, Array) else []  # those above are shares of all
     digest = hashlib.sha256(f"exits {VERSION}".encode())
-    for part in parts:
+    for part in (*parts, *powers):
         digest.update(str((part.dtype.str, part.shape)).encode() + np.ascontiguousarray(part).tobytes())
     return digest.hexdigest()
 
@@ -180,6 +189,8 @@ class Landing:
         threads: int | None = None,
         direction_bins: tuple[int, int] = (0, 0),
     ) -> None:
+        if isinstance(exits, Exits) and exits.births is not None:
+            raise InputError("exits", "of a chip lit evenly", "those of this one", "make_exits walks them")
         self.scene, self.seed = scene, seed
         self._exits_at = exits if callable(exits) else lambda _: exits
         self.tally = Tally.empty(scene, groups if callable(exits) else exits.ends.shape[0], direction_bins)

@@ -60,9 +60,9 @@ HELD_FIELDS = 64
 SHADOW_RAYS = 4096
 SLOPE_STEP = 1e-4
 """Of the full scale: by which a signal is moved to find the slope of a sensor's effects."""
-UNEVEN_HISTORIES = 1 << 19
-"""Whose exits tell what unevenness adds: with 131,072 a dark corner of 0.2 added 3 times the variance of a run of a
-million histories to a single chip's image."""
+UNEVEN_HISTORIES, UNEVEN_ABOUT = 1 << 19, 1 << 21
+"""Whose exits tell what unevenness adds; at an anchor. To a single chip's image a dark corner of 0.2 added 3 times
+the variance of a run of a million histories with 131,072 of them, and 0.5 % rms with 524,288."""
 RUN_STEPS = 20
 """What a run of Monte Carlo counts for in the progress; an image of the twin counts 1."""
 
@@ -187,10 +187,11 @@ class _Job:
         blocks = blocks_of(self.request.exit_histories) // BLOCK
         return {"blocks": blocks, "shadow_rays": SHADOW_RAYS, "threads": self.threads}
 
-    def supply(self, lights: Lights) -> Supply:
-        """Exits of chips with notes, as many blocks as are used or more; for unevenness in several sets."""
-        blocks = -(-self.options["blocks"] // BATCH) * BATCH  # whole batches are not copied
-        sets = -(-UNEVEN_HISTORIES // (GROUPS * blocks * BLOCK))
+    def supply(self, lights: Lights, uneven: int = UNEVEN_HISTORIES) -> Supply:
+        """Exits of chips with notes, as many blocks as are used or more; for unevenness so many histories in sets."""
+        used = self.options["blocks"]
+        blocks = -(-used // BATCH) * BATCH  # whole batches are not copied
+        sets = -(-uneven // (GROUPS * used * BLOCK))
         first, *others = (partial(self._exits, blocks, number * blocks) for number in range(sets))
         return Supply(first, lights, others)
 
@@ -215,17 +216,18 @@ class _Job:
         """An anchor at these shots; what several cameras see is run once, what is `known` is not run again."""
         if not asked.histories:
             return Anchor(shots, None, supply, report=self.steps.image, **self.options)
-        shots = [shot.evenly_lit() for shot in shots]
+        even = [shot.evenly_lit() for shot in shots]
         run = asked.model_dump(mode="json", exclude={"shots"}) | {"exit_seed": self.request.exit_seed}
         seeds = [_seed_of(asked, wanted) for wanted in at]
-        keys = [sha256_of([run, seed, *_keys(shot)]) for seed, shot in zip(seeds, shots, strict=True)]
+        keys = [sha256_of([run, seed, *_keys(shot)]) for seed, shot in zip(seeds, even, strict=True)]
         self.steps.total += RUN_STEPS * sum(key not in known for key in set(keys)) + 2 * len(shots)
         fields = []
-        for key, wanted, shot in zip(keys, at, shots, strict=True):
+        for key, wanted, shot in zip(keys, at, even, strict=True):
             with named(shot.name):
                 run_it = partial(self._field, asked, wanted, shot.traced)
                 fields.append(known.of(key, float(asked.histories), run_it))
-        return Anchor(shots, fields, supply, report=self.steps.image, **self.options)
+        more = self.supply(supply.lights, UNEVEN_ABOUT)
+        return Anchor(shots, fields, supply, more, report=self.steps.image, **self.options)
 
     def _field(self, asked: AnchorRequest, wanted: ShotRequest, scene: Scene) -> Field:
         """A module's field by Monte Carlo."""

@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 
 from containers.acting import Effects
 from containers.effects.current_crowding import CurrentCrowding
-from containers.ray_tracing.exits import Exits, make_exits
+from containers.ray_tracing.exits import Exits, Landing, make_exits
 from containers.ray_tracing.monte_carlo import BLOCK
 from containers.ray_tracing.twin.birthplace import born_as_in
 from containers.ray_tracing.twin.module import ModuleTwin
 from containers.ray_tracing.twin.prediction import Supply
 from containers.scene import Array, Scene
+from luxloop.errors import InputError
 from tests.ray_scenes import film_face, scene
 
 Real = NDArray[np.float64]
@@ -136,15 +137,38 @@ def test_one_walk_serves_all_of_them() -> None:
         return make_exits(wanted, 11, BLOCK, notes=True)
 
     supply, base = Supply(make), uneven("rise and rim")
-    (own,) = supply.of(base).uneven
-    assert own.turned is not None
-    (folded,) = supply.of(uneven("rim"), base).uneven
-    assert folded.turned is not None
-    assert folded.turned.shape == (len(own.turned), 1)
+    own, rim = supply.of(base).births, supply.of(uneven("rim"), base).births
+    assert own is not None
+    assert rim is not None
+    np.testing.assert_allclose([own.weights.mean(), rim.weights.mean()], 1.0)
     lossy = replace(base, chip=replace(base.chip, absorption_per_um=0.021))
-    (moved,) = supply.of(lossy, base).uneven
-    np.testing.assert_array_equal(moved.turned, own.turned)
+    moved = supply.of(lossy, base)
+    assert moved.births is not None
+    np.testing.assert_array_equal(moved.births.weights, own.weights)
     assert moved.weights is not None
     assert moved.weights.max() < 1.0
     assert len(walks) == 1
     assert walks[0].emission.symmetric
+
+
+def test_landing_refuses_what_only_direct_light_knows() -> None:
+    """Its histories would be those of an even chip."""
+    of = uneven("corner")
+    with pytest.raises(InputError, match="make_exits"):
+        Landing(of, born_as_in(of, [walked()]), 1)
+
+
+def test_a_row_of_chips_has_the_symmetries_of_a_rectangle() -> None:
+    """Images whose x and y are exchanged would have other neighbours."""
+    row = replace(even(), layout=Array.regular(1, 5, 40.0))
+    along = replace(row, emission=row.emission.by_place(UNEVEN["rise"]))
+    across = replace(row, emission=row.emission.by_place(UNEVEN["rise"].T))
+    for of in (along, across):
+        own = make_exits(of, 12, OWN * BLOCK)
+        lent = born_as_in(of, [walked()])
+        maps = [ModuleTwin(of, exits, groups=16, shadow_rays=0).of_groups(AT, AT) for exits in (own, lent)]
+        change = maps[1].mean(axis=0) - ModuleTwin(row, walked(), groups=16, shadow_rays=0).of_groups(AT, AT).mean(
+            axis=0
+        )
+        off = (maps[0] - maps[1].mean(axis=0)).reshape(16, -1) @ change.ravel() / (change**2).sum()
+        assert abs(off.mean()) < 4.0 * off.std(ddof=1) / 4.0 + 0.03

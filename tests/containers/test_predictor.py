@@ -5,18 +5,22 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from containers.acting import Effects
 from containers.bsdf import GaussianLobe, Lambertian
+from containers.effect import SceneEffect
+from containers.effects.electrode_shadow import ElectrodeShadow
 from containers.ray_tracing import predictor as predictor_module
 from containers.ray_tracing.exit_source import BATCH, ExitSource, joined
 from containers.ray_tracing.exits import make_exits
 from containers.ray_tracing.monte_carlo import BLOCK
-from containers.ray_tracing.predictor import SHADOW_RAYS
+from containers.ray_tracing.predictor import SHADOW_RAYS, Predictor
 from containers.ray_tracing.simulation import solver_of
 from containers.ray_tracing.twin.columns import CAMERA_COLUMNS, COLUMNS
 from containers.ray_tracing.twin.prediction import Shot, Supply, jacobian, twin_images
@@ -155,6 +159,34 @@ def test_at_the_anchor_a_prediction_agrees_with_monte_carlo(
         assert abs(np.mean(image) - np.mean(seen["image_0"])) < 4.0 * np.sqrt(2.0) * of_mean < 0.2 * np.mean(image)
         assert np.sqrt(np.mean(error**2) / np.mean(seen["image_error_0"] ** 2)) < 3.0  # no modes are shrunk
     assert found["noise_per_mm2"].shape[1:] == (2, 16, 16)
+
+
+def test_anchors_of_modules_with_other_powers_are_not_each_others() -> None:
+    """Shares of the power are alike where all chips have as much more: each module has a run of its own."""
+    of, source = worker(), ExitSource()
+    bright = [{"name": "chip_power_spread", "parameters": {"gain": [0.2]}}]
+    anchor = {"histories": HISTORIES}
+    known = ask(request(shot(), anchor=anchor), of)["images_per_mm2"]
+    found, fresh = (ask(request(shot(effects=bright), anchor=anchor), one) for one in (of, worker(source)))
+    np.testing.assert_allclose(found["images_per_mm2"], fresh["images_per_mm2"])
+    assert found["images_per_mm2"].sum() == pytest.approx(1.2 * known.sum(), rel=1e-6)
+
+
+def test_an_emission_that_only_monte_carlo_knows_is_traced() -> None:
+    """No chip shines evenly for Monte Carlo whose unevenness the twin does not know."""
+
+    class Beyond(ElectrodeShadow):
+        name = "beyond"
+        twin = False
+
+    def seen(*effects: SceneEffect) -> NDArray[Any]:
+        wanted = parse(PredictionRequest, request(shot(), anchor={"histories": 32 * HISTORIES}))
+        means = SimpleNamespace(film=nobody, effects=lambda _: Effects(effects))
+        return np.asarray(Predictor(source).answer(wanted, means, Progress())[1]["images_per_mm2"][0])
+
+    source = ExitSource()
+    even, traced, known = seen(), *(seen(one(dark_share=0.3, corner="left_low")) for one in (Beyond, ElectrodeShadow))
+    assert np.sqrt(np.mean((traced - known) ** 2)) < 0.5 * np.sqrt(np.mean((known - even) ** 2))
 
 
 def test_a_prediction_beside_its_anchor_differs_by_the_twin(source: ExitSource) -> None:

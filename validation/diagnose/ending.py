@@ -157,7 +157,7 @@ def unstuck(found: Refitted, base: Fit) -> Refitted:
     if not has_monte_carlo(problem):
         return found
     own = about_its_own(problem, fit, found.chi2)
-    if total_chi2(own) < found.chi2 - OF_TWO_RUNS:
+    if total_chi2(own) < found.chi2 - OF_TWO_RUNS and set(found.paths).isdisjoint(own.at_limit):
         found, fit = with_fit(found, own), own
     if not _held(fit, base):
         return found

@@ -59,7 +59,7 @@ def cell_field(
         raise InputError("layout", type(scene.layout).__name__, "a cell that repeats", "use twin.module")
     spacing, receiver = scene.layout.spacing_um, scene.receiver
     way, emission = open_way(scene, Box.of(scene)), emission_arrays(scene)
-    tally = direct_light(way, emission, exits, seed=seed, blocks=blocks, threads=threads)
+    tally = direct_light(way, emission, exits, seed, blocks=blocks, threads=threads)
 
     def field_of(layer: int) -> CellField:
         return CellField.from_bins(

@@ -39,9 +39,8 @@ from containers.ray_tracing.kernel import scratch
 from containers.ray_tracing.monte_carlo import BLOCK
 from containers.ray_tracing.packing import scene_arrays
 from containers.ray_tracing.tally import OPTICAL_EVENTS, Box, Tally
-from containers.ray_tracing.twin.birthplace import IMAGES
-from containers.ray_tracing.twin.direct_kernel import WayArrays, land_direct
-from containers.scene import Receiver, Scene
+from containers.ray_tracing.twin.direct_kernel import IMAGES, BirthArrays, WayArrays, land_direct
+from containers.scene import Array, Receiver, Scene
 from luxloop.errors import InputError
 from luxloop.process import usable_cores
 
@@ -57,6 +56,8 @@ class Way:
 
     arrays: WayArrays
     box: Box
+    images: int
+    """Of an exit, where chips shine unevenly: what the chip and its neighbours have of the square's symmetries."""
 
     @property
     def scene(self) -> SceneArrays:
@@ -124,15 +125,17 @@ def open_way(scene: Scene, box: Box) -> Way:
     black = replace(scene, chip=chip, substrate=white, receiver=replace(scene.receiver, bsdf=Lambertian(0.0)))
     arrays = scene_arrays(black)
     rest = arrays if followed == Lambertian(0.0) else scene_arrays(replace(black, receiver=Receiver(followed)))
-    return Way(WayArrays(arrays, rest, kept, box.numbers), box)
+    square = not isinstance(scene.layout, Array) or scene.layout.rows == scene.layout.columns
+    images = 1 if box.folded else len(IMAGES) if square else len(IMAGES) // 2
+    return Way(WayArrays(arrays, rest, kept, box.numbers), box, images)
 
 
 def direct_light(
     way: Way,
     emission: EmissionArrays,
     exits: Exits,
-    *,
     seed: int,
+    *,
     blocks: int | None = None,
     groups: int | None = None,
     threads: int | None = None,
@@ -155,32 +158,36 @@ def direct_light(
     response = tables[way.scene.flags[RESPONSE_AT] :][: way.scene.flags[RESPONSE]]
     bins = np.zeros((groups, 1 if np.all(response == 1.0) else 2, box.rows, box.columns))
 
+    sets, births = _sets_of(exits)
+    per_um = 0.0 if exits.births is None else 1.0 / exits.births.width_um
+
     def land(together: int) -> None:
         numbers, work, lost = np.uint64(seed ^ LANDING), scratch(), nowhere()
-        for group in range(together * own // groups, (together + 1) * own // groups):
-            mine = slice(exits.ends[group, 0], exits.ends[group, blocks])
-            weights = np.zeros(0, np.float32) if exits.weights is None else exits.weights[mine]
-            turned = np.zeros((0, len(IMAGES)), np.float32) if exits.turned is None else exits.turned[mine]
-            first = exits.first_block * BLOCK
-            land_direct(
-                way.arrays,
-                emission,
-                numbers,
-                group,
-                own,
-                first,
-                exits.rays[mine],
-                weights,
-                turned,
-                lost,
-                work,
-                bins[together],
-            )
+        for one, counts in zip(sets, births, strict=True):
+            for group in range(together * own // groups, (together + 1) * own // groups):
+                mine = slice(one.ends[group, 0], one.ends[group, blocks])
+                weights = np.zeros(0, np.float32) if one.weights is None else one.weights[mine]
+                first = one.first_block * BLOCK
+                land_direct(
+                    way.arrays, emission, numbers, group, own, first, one.rays[mine], weights, one.notes[mine],
+                    BirthArrays(counts, per_um, way.images), lost, work, bins[together],
+                )  # fmt: skip
 
     in_parallel(land, range(groups), threads)
     ledger = exits.ledger[:, :blocks].sum(axis=1).reshape(groups, -1, len(ENDS)).sum(axis=1)
     nothing = np.zeros((groups, len(OPTICAL_EVENTS))), np.zeros((groups, 2, 0, 0))
     return Tally(box, bins, ledger, *nothing, histories=BLOCK * blocks * own // groups)
+
+
+def _sets_of(exits: Exits) -> tuple[tuple[Exits, ...], list[Real]]:
+    """The sets of exits, and what each counts for (y, x) by birthplace: of an even chip's light the first tells all,
+    of what unevenness adds each its share."""
+    births = exits.births
+    if births is None:
+        return (exits,), [np.zeros((0, 0))]
+    sets = (exits, *births.others)
+    added: Real = (births.weights - 1.0) / len(sets)
+    return sets, [1.0 + added, *(added for _ in births.others)]
 
 
 def in_parallel(work: Callable[[int], None], numbers: range, threads: int | None) -> None:

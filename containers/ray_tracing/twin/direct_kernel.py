@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 from containers.compiled import borrowing_kernel, inlined_kernel
 from containers.ray_tracing.arrays import (
+    BORN_X,
+    BORN_Y,
     CHIP_X,
     CHIP_Y,
     DISTANCE,
@@ -35,11 +37,13 @@ from containers.ray_tracing.philox import RECEIVER as RECEIVER_KIND
 from containers.ray_tracing.philox import SUBSTRATE, Stream, follow_up, start
 from containers.ray_tracing.recording import recorded_share
 from containers.ray_tracing.surfaces import REFLECTED, albedo, scatter
-from containers.ray_tracing.twin.birthplace import IMAGES
 
 Real = NDArray[np.float64]
 Single = NDArray[np.float32]
 
+IMAGES = tuple((x, y, swapped) for swapped in (False, True) for x in (1.0, -1.0) for y in (1.0, -1.0))
+"""The symmetries of the square: signs of x and y, and whether they are exchanged; the first four are those of a
+rectangle, the first one that of anything."""
 FAINTEST = 1e-6
 """Share of a ray's weight below which the reflections that are followed at the receiver end."""
 
@@ -57,6 +61,17 @@ class WayArrays(NamedTuple):
     """As `Sinks.box`."""
 
 
+class BirthArrays(NamedTuple):
+    """What an exit counts for by where its light was born."""
+
+    weights: Real
+    """(y, x), of equal cells of the chip's area; (0, 0): each counts 1."""
+    per_um: float
+    """One over the chip's width."""
+    images: int
+    """Of `IMAGES`, so many that each exit stands for."""
+
+
 @borrowing_kernel
 def land_direct(
     way: WayArrays,
@@ -67,14 +82,15 @@ def land_direct(
     first: int,
     rays: Single,
     weights: Single,
-    turned: Single,
+    notes: Single,
+    births: BirthArrays,
     sinks: Sinks,
     scratch: Scratch,
     bins: Real,
 ) -> None:
     """Follow exits, number `first` and on of a group, into `bins` (layer, y, x).
 
-    `weights`, `turned`: as `Exits` has them, none where they are empty.
+    `weights`, `notes`: as `Exits` has them, none where they are empty; notes are read where births have weights.
     """
     stream, ray, trace, _, _ = scratch
     scene = way.scene
@@ -89,7 +105,7 @@ def land_direct(
             ray[Z] = scene.numbers[DISTANCE]
         landed = path > 0.0 or reaches_receiver(scene, wave, ray, stream, sinks, trace)
         while landed:
-            _arrive(way, ray, stream, turned[number : number + 1], bins)
+            _arrive(way, ray, stream, births, notes, number, bins)
             landed = _sent_on(way, wave, ray, stream, faintest) and reaches_receiver(
                 scene, wave, ray, stream, sinks, trace
             )
@@ -108,20 +124,26 @@ def reaches_receiver(scene: SceneArrays, wave: int, ray: Real, stream: Stream, s
 
 
 @inlined_kernel
-def _arrive(way: WayArrays, ray: Real, stream: Stream, turned: Single, bins: Real) -> None:
-    """Put a ray that is at the receiver into the bins, or its images with the weights (1, image) that they have."""
+def _arrive(
+    way: WayArrays, ray: Real, stream: Stream, births: BirthArrays, notes: Single, number: int, bins: Real
+) -> None:
+    """Put a ray that is at the receiver into the bins, or its images, each with the weight of its birthplace."""
     scene, x, y = way.scene, ray[X], ray[Y]
     if scene.flags[PERIODIC]:
         x -= scene.numbers[SPACING] * floor(x / scene.numbers[SPACING] + 0.5)
         y -= scene.numbers[SPACING] * floor(y / scene.numbers[SPACING] + 0.5)
     weight = ray[WEIGHT] * way.kept ** float(stream[2 + SUBSTRATE])
     more = weight * (recorded_share(scene, ray[DZ]) - 1.0) if bins.shape[0] > 1 else 0.0
-    if turned.shape[0] == 0:
+    rows, columns = births.weights.shape
+    if rows == 0:
         _put(bins, way.box, x, y, weight, more)
         return
-    for image in range(turned.shape[1]):
-        share = turned[0, image] / turned.shape[1]
+    born_x, born_y = notes[number, BORN_X] * births.per_um, notes[number, BORN_Y] * births.per_um
+    for image in range(births.images):
         to_x, to_y, swapped = IMAGES[image]
+        column = min(max(int(((born_y if swapped else born_x) * to_x + 0.5) * columns), 0), columns - 1)
+        row = min(max(int(((born_x if swapped else born_y) * to_y + 0.5) * rows), 0), rows - 1)
+        share = births.weights[row, column] / births.images
         _put(bins, way.box, (y if swapped else x) * to_x, (x if swapped else y) * to_y, share * weight, share * more)
 
 

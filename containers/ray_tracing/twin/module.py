@@ -9,9 +9,8 @@ make a smooth map. Of powers and displacements everything is in it but that neig
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 from hashlib import sha256
 from threading import Lock
 from typing import Any
@@ -83,12 +82,8 @@ class ModuleTwin:
         lit = emission_arrays(replace(scene, layout=Cell(self.layout.spacing_um)))
 
         def make() -> tuple[ChipMap, float]:
-            of = partial(direct_light, way, lit, seed=seed, blocks=blocks, groups=groups, threads=threads)
-            chip = one_chip(scene, of(exits))
-            if exits.uneven:
-                added = one_chip(scene, together([of(one) for one in exits.uneven]))
-                chip = replace(chip, coefficients=chip.coefficients + added.coefficients)
-            return chip, self._lost(way, lit, shadow_rays, seed, threads)
+            tally = direct_light(way, lit, exits, seed, blocks=blocks, groups=groups, threads=threads)
+            return one_chip(scene, tally), self._lost(way, lit, shadow_rays, seed, threads)
 
         key = digest_of(way, lit, id(exits), blocks, groups, shadow_rays, seed) if known is not None else ""
         self.chip, lost = make() if known is None else known.of(key, exits, make)
@@ -258,12 +253,6 @@ def one_chip(scene: Scene, tally: Tally) -> ChipMap:
     cloud = np.multiply.outer(cloud_window(y, box.step_um), cloud_window(x, box.step_um))
     coefficients = np.stack([field.coefficients for field in fields], axis=1) * (fade / cloud) / (2.0 * reach) ** 2
     return ChipMap(coefficients, x, y, tally.total_histories)
-
-
-def together(tallies: Sequence[Tally]) -> Tally:
-    """Several runs of equal groups as one of as many histories as all of them."""
-    histories = sum(one.histories for one in tallies)
-    return replace(tallies[0], bins=np.sum([one.bins for one in tallies], axis=0), histories=histories)
 
 
 def _displaced(at_um: Real, half_um: float, step_um: float, sd_um: float) -> tuple[Real, Real]:

@@ -30,7 +30,7 @@ from containers.ray_tracing.twin.columns import CameraColumn, Column
 from containers.ray_tracing.twin.direct import in_parallel
 from containers.ray_tracing.twin.module import BINS_PER_HEIGHT, PAD, Lights, ModuleTwin
 from containers.ray_tracing.twin.noise import NoiseBasis, most_functions, noise_columns
-from containers.ray_tracing.twin.reweighting import OtherChipError, lender_of, reweighted
+from containers.ray_tracing.twin.reweighting import OtherChipError, keeping_all, lender_of, reweighted
 from containers.scene import Array, Scene
 from luxloop.camera import Camera
 from luxloop.errors import InputError
@@ -76,9 +76,14 @@ class Shot:
         return self.whole or self.scene
 
     def evenly_lit(self) -> Shot:
-        """The shot of chips that shine evenly."""
-        whole = None if self.whole is None else evenly_lit(self.whole)
-        return replace(self, scene=evenly_lit(self.scene), whole=whole)
+        """The shot of chips that shine evenly; itself where the twin does not know how unevenly they do."""
+        scene, whole = evenly_lit(self.scene), self.whole
+        if scene is self.scene:
+            return self
+        if whole is None:
+            return replace(self, scene=scene)
+        known = np.array_equal(whole.emission.position, self.scene.emission.position)
+        return replace(self, scene=scene, whole=evenly_lit(whole)) if known else self
 
     def image(self, light: LightMap, camera: Camera | None = None) -> Real:
         """The irradiance (..., row, column) that the pixels see of a map, by another camera where one is given."""
@@ -90,7 +95,8 @@ class Supply:
     """Exits of chips, each walked in once; of a chip near another one, the other's exits reweighted.
 
     Where the other's cannot stand for a chip, those of a chip between the two do (`lender_of`). All walks are of
-    chips that shine evenly; what unevenness adds is told by several sets of exits.
+    chips that shine evenly, below tops that take nothing beyond the critical angle; what unevenness adds is told by
+    several sets of exits.
 
     Parameters
     ----------
@@ -112,8 +118,6 @@ class Supply:
     def of(self, scene: Scene, base: Scene | None = None) -> Exits:
         """Exits of the scene's chip: the base's where they can stand for them, else its own."""
         lender = scene if base is None else base
-        if is_even(scene) and self._key(scene) == self._key(lender):
-            return self._walk(scene, 0)
         pair = self._key(scene), self._key(lender)
         return remembered(self._found, pair, lambda: self._near(scene, lender))
 
@@ -124,15 +128,16 @@ class Supply:
 
     def _even(self, scene: Scene, base: Scene, number: int) -> Exits:
         """A set of exits of a chip that shines evenly, as another one is."""
-        if self._key(scene) == self._key(base):
-            return self._walk(scene, number)
-        for lender in (base, lender_of(scene, base)):
+        for lender in map(keeping_all, (base, lender_of(scene, base))):
+            if self._key(scene) == self._key(lender):
+                break
             try:
                 found = reweighted(self._walk(lender, number), lender, scene)
             except OtherChipError:
                 continue
-            good = found.effective_share > EFFECTIVE and found.inexact_share < INEXACT
-            return found.exits if good else self._walk(scene, number)
+            if found.effective_share > EFFECTIVE and found.inexact_share < INEXACT:
+                return found.exits
+            break
         return self._walk(scene, number)
 
     def _walk(self, scene: Scene, number: int) -> Exits:
@@ -177,15 +182,14 @@ class Prediction:
 
 
 class Anchor:
-    """Shots at whose parameters Monte Carlo was run; for a worker those of chips that shine evenly.
-
-    What unevenness does to the light is the twin's difference, which traces direct light and weighs birthplaces. In
-    Monte Carlo of uneven chips the eight symmetries are lost, and it has 8 times as much variance.
+    """Shots at whose parameters Monte Carlo was run.
 
     Parameters
     ----------
-    fields : of the modules, by Monte Carlo, one for each shot, with equally many groups; the same object where one
+    fields : by Monte Carlo, one for each shot, of its module with chips that shine evenly (`Shot.evenly_lit`):
+        without the symmetries it has 8 times as much variance. With equally many groups; the same object where one
         run is seen by several cameras. None: no Monte Carlo, only chips whose exits stand for those of others.
+    more : tells what unevenness adds at the anchor by more sets of exits than `supply` does; none: that does.
     """
 
     def __init__(
@@ -193,28 +197,33 @@ class Anchor:
         shots: Sequence[Shot],
         fields: Sequence[Field] | None,
         supply: Supply,
+        more: Supply | None = None,
+        /,
         *,
         report: Report = nothing,
         **options: int,
     ) -> None:
         self.shots, self._options = tuple(shots), options
         size = refuse_several_sizes(shots)
-        self._correction, self._noise = np.zeros((len(shots), *size)), np.zeros((0, len(shots), *size))
-        self._light = np.zeros(len(shots))
+        self._correction = np.zeros((len(shots), *size))
+        self._noise, self._light = np.zeros((0, len(shots), *size), np.float32), np.zeros(len(shots))
         if fields is None:
             return
         if len(shots) != len(fields) or len({field.groups for field in fields}) != 1:
             raise InputError("fields", len(fields), f"{len(shots)}, one for each shot, with equally many groups")
-        replicas = _replicas([field.grid for field in fields], shots, report)
+        even = [shot.evenly_lit() for shot in shots]
+        replicas = _replicas([field.grid for field in fields], even, report)
         mean, groups = replicas.mean(axis=0), len(replicas)
-        twin = twin_images(shots, supply, report=report, **options)
-        bases = bases_of(shots, fields, twin)  # light without the noise that is to be told
-        first = [next(i for i, one in enumerate(fields) if one is field) for field in fields]
+        twin = twin_images(even, supply, report=report, **options)
+        first, bases = bases_of(even, fields, twin)  # light without the noise that is to be told
         deviations = (replicas - mean) / np.sqrt(groups * (groups - 1.0))
         columns = [noise_columns(deviations[:, i], bases[n], bases[i]) for n, i in enumerate(first)]
-        self._noise = np.zeros((max(map(len, columns)), *self._correction.shape))
+        self._noise = np.zeros((max(map(len, columns)), *self._correction.shape), np.float32)
         for number, one in enumerate(columns):
             self._noise[: len(one), number] = one
+        if any(one is not other for one, other in zip(even, shots, strict=True)):
+            mean = mean - twin + twin_images(shots, more or supply, report=report, **options)
+            twin = twin_images(shots, supply, report=report, **options)
         self._correction, self._light = mean - twin, twin.sum(axis=(1, 2))
 
     def predict(
@@ -246,25 +255,24 @@ class Anchor:
         return int(self._noise.nbytes + self._correction.nbytes)
 
 
-def bases_of(shots: Sequence[Shot], fields: Sequence[Field], light: Real) -> list[NoiseBasis]:
-    """The smooth functions of each shot; alike for all shots of one field. `light` (shot, row, column)."""
+def bases_of(shots: Sequence[Shot], fields: Sequence[Field], light: Real) -> tuple[list[int], list[NoiseBasis]]:
+    """The smooth functions of each shot, alike for all shots of one field, and the number of that shot of its field
+    that sees farthest, whose functions are taken. `light` (shot, row, column)."""
     places = []
     for shot in shots:
         row, column = pixels(shot.camera.rows), pixels(shot.camera.columns)
         places.append(receiver_points(shot.camera, row, column)[:2])
     reach = [max(float(np.abs(x).max()), float(np.abs(y).max())) for x, y in places]
-    found: list[NoiseBasis] = []
-    for number, (shot, field, (x, y)) in enumerate(zip(shots, fields, places, strict=True)):
-        whole_um = max(r for r, other in zip(reach, fields, strict=True) if other is field)
-        like = next((basis for basis, other in zip(found, fields, strict=False) if other is field), None)
-        scene = shot.traced
+    widest = [max((n for n, one in enumerate(fields) if one is field), key=lambda n: reach[n]) for field in fields]
+
+    def basis(number: int, like: NoiseBasis | None = None) -> NoiseBasis:
+        scene, (x, y) = shots[number].traced, places[number]
         most = most_functions(light.size, symmetric=scene.symmetric)
-        found.append(
-            NoiseBasis.at(
-                x, y, light[number], whole_um, scene.height_um, symmetric=scene.symmetric, most=most, like=like
-            )
-        )
-    return found
+        of = light[number], reach[widest[number]], scene.height_um
+        return NoiseBasis.at(x, y, *of, symmetric=scene.symmetric, most=most, like=like)
+
+    known = {number: basis(number) for number in set(widest)}
+    return widest, [known.get(number) or basis(number, known[widest[number]]) for number in range(len(shots))]
 
 
 def twin_images(shots: Sequence[Shot], supply: Supply, *, report: Report = nothing, **options: int) -> Real:

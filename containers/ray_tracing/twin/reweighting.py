@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from containers.bsdf import Bsdf, GaussianLobe, Lambertian, Mirror, Mixture
+from containers.bsdf import Bsdf, GaussianLobe, Lambertian, Mirror, Mixture, SpecularTable
 from containers.bsdf.specular import Specular
 from containers.ray_tracing.arrays import BEYOND, BOTTOM_HITS, DX, DY, PATH, TOP_COSINES, TOP_HITS, TRACE, Z
 from containers.ray_tracing.exits import Exits, chip_key
@@ -140,6 +140,26 @@ def lender_of(wanted: Scene, stored: Scene) -> Scene:
     return replace(wanted, chip=chip, substrate=lent)
 
 
+def keeping_all(scene: Scene) -> Scene:
+    """The scene with a top that takes nothing beyond the critical angle.
+
+    Its exits can be reweighted for one that does. The other way round those that are left would be from where it
+    takes least, which the step of their cosine does not tell: 8 % of what a film with k = 0.01 changes.
+    """
+    top = scene.chip.top
+    inside = tuple(_keeping(face, n) for face, n in zip(top.inside, scene.chip.index, strict=True))
+    if all(one is other for one, other in zip(inside, top.inside, strict=True)):
+        return scene
+    return replace(scene, chip=replace(scene.chip, top=replace(top, inside=inside)))
+
+
+def _keeping(face: Bsdf, n: float) -> Bsdf:
+    if not isinstance(face, SpecularTable):
+        return face
+    beyond = np.sin(face.theta_in_rad) * n >= 1.0
+    return face if np.all(face.R[beyond] == 1.0) else replace(face, R=np.where(beyond, 1.0, face.R))
+
+
 def _reflecting(bottom: Bsdf, reflectance: float) -> Bsdf:
     """A surface without loss (`without_loss`) that reflects so much."""
     if isinstance(bottom, Mixture):
@@ -152,7 +172,10 @@ def _reflecting(bottom: Bsdf, reflectance: float) -> Bsdf:
 def _same_face(one: tuple[Bsdf, ...], other: tuple[Bsdf, ...]) -> bool:
     theta = np.linspace(0.0, np.pi / 2, 257)
     return one is other or all(
-        np.array_equal(np.stack(a.deltas(theta)), np.stack(b.deltas(theta))) for a, b in zip(one, other, strict=True)
+        isinstance(a, Specular)
+        and isinstance(b, Specular)
+        and np.array_equal(np.stack(a.deltas(theta)), np.stack(b.deltas(theta)))
+        for a, b in zip(one, other, strict=True)
     )
 
 
