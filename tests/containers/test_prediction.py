@@ -85,6 +85,20 @@ def test_the_error_at_the_anchor_is_carried_as_a_share_of_the_light(dim: tuple[S
     np.testing.assert_allclose(there.noise_per_mm2, share * here.noise_per_mm2)
 
 
+def test_the_noise_of_a_run_is_told_alike_whichever_camera_comes_first(dim: tuple[Scene, Exits]) -> None:
+    """One run seen by a near and a wide camera: what the near one tells apart says nothing of the wide one."""
+    case, exits = dim
+    scene = replace(case, layout=Array.regular(3, 3, 500.0))
+    near, wide = (Shot(scene, Camera(rows=16, columns=16, pixel_um=um)) for um in (20.0, 60.0))
+    field, supply = ModuleTwin(scene, exits, groups=8, seed=7).field(), Supply(lambda _: exits)
+    options = {"blocks": 1, "shadow_rays": 0}
+    one, other = (
+        Anchor(of, [field] * 2, supply, **options).predict(of, supply) for of in ([near, wide], [wide, near])
+    )
+    np.testing.assert_allclose(one.error_per_mm2, other.error_per_mm2[::-1], rtol=1e-4)
+    assert one.error_per_mm2[1].max() < 0.5 * one.images_per_mm2[1].max()
+
+
 def test_chips_of_less_power_have_their_images_by_as_much_less(dim: tuple[Scene, Exits]) -> None:
     """Light is linear in power: the anchor's Monte Carlo and its noise are dimmed as the twin is."""
     case, exits = dim

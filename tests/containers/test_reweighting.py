@@ -15,6 +15,7 @@ from containers.ray_tracing.build import film_faces
 from containers.ray_tracing.exits import Exits, chip_key, make_exits
 from containers.ray_tracing.kernel import EVENT_OF_EXIT, WEIGHT_OF_EXIT
 from containers.ray_tracing.monte_carlo import BLOCK
+from containers.ray_tracing.twin.prediction import Supply
 from containers.ray_tracing.twin.reweighting import lender_of, reweighted
 from containers.scene import Face, Scene
 from containers.thin_film.table import film_table
@@ -165,6 +166,24 @@ def test_a_chip_between_two_has_all_that_is_noted_of_the_one(bottom: Bsdf, lent:
     exits = make_exits(between, 3, BLOCK, notes=True)
     assert reweighted(exits, between, other).effective_share > 0.5
     assert chip_key(lender_of(one, one)) == chip_key(one)
+
+
+def test_films_that_absorb_are_walked_below_one_that_takes_nothing_beyond_the_critical_angle() -> None:
+    """Be such a film's chip the wanted one, or the one whose exits are lent."""
+    plain, lossy = (scene({"absorption_per_um": 1e-3, "top": face(2.5, k=k)}) for k in (0.0, 0.005))
+    walks: list[Scene] = []
+    supply = Supply(lambda s: (walks.append(s), make_exits(s, 3, BLOCK, notes=True))[1])
+    found = [supply.of(lossy), supply.of(plain, lossy), supply.of(lossy, plain)]
+    assert walks
+    for one in walks:
+        (inside,), n = one.chip.top.inside, float(one.chip.index[0])
+        beyond = np.linspace(np.arcsin(1.0 / n) + 1e-3, np.pi / 2, 50)
+        np.testing.assert_allclose(inside.deltas(beyond).mirror, 1.0, atol=1e-9)
+    weights = [float(leaving(one).mean(axis=0)[0]) for one in found]
+    own = leaving(make_exits(lossy, 4, 16 * BLOCK))
+    for lent in (weights[0], weights[2]):
+        assert lent == pytest.approx(own.mean(axis=0)[0], abs=0.01 * weights[1])
+    assert weights[1] > 1.01 * weights[0]
 
 
 def test_a_chip_of_another_index_keeps_its_own_top() -> None:
