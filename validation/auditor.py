@@ -1,6 +1,6 @@
 """Levels 2 and 3 of a replay of comparisons: what was told, anew from what is on record.
 
-2 re-derive    chi2 of every image from its map of residuals
+2 re-derive    chi2 of every image and curve from its map of residuals
 3 re-decide    whether the data are still those that were compared; from the p-values of the shots: which of them
                differ, and the sentence; from the counts of draws the p-values in words; the order of families and
                regions; from the MSE of all candidates the least; verdicts and ladders (`redeciding`)
@@ -33,7 +33,7 @@ NO_MAP = "no map of residuals on record"
 
 
 def re_derive(journal: RunJournal, say: Callable[[Compared], None], *, same_machine: bool) -> None:
-    """Compares chi2 per pixel of every image with the map of residuals that it comes from.
+    """Compares chi2 of every image by pixel, and of every curve by value, with the residuals that it comes from.
 
     The same on any machine; says nothing of runs that compare nothing.
     """
@@ -49,9 +49,7 @@ def re_derive(journal: RunJournal, say: Callable[[Compared], None], *, same_mach
 def compared(document: Mapping[str, Any], maps: Mapping[str, NDArray[Any]], at: Place) -> None:
     """Compares the shots of a document with maps (row, column) by shot, in standard deviations, 0 where unused."""
     for shot in document.get("shots", []):
-        what = f"chi2 per pixel, {shot['id']}"
-        if shot["kind"] != "image":
-            continue
+        what = f"chi2 per {'pixel' if shot['kind'] == 'image' else 'value'}, {shot['id']}"
         if shot["id"] not in maps:
             at.nothing(what, NO_MAP)
             continue

@@ -31,11 +31,15 @@ class Calibrated:
     before: Comparison
     after: Comparison
     profiles: tuple[Profile, ...]
+    asked: tuple[str, ...]
+    """The paths of the model that were to be fitted, those among them that these data say nothing of."""
 
     @property
     def free(self) -> tuple[str, ...]:
-        """The parameters that were fitted."""
-        return self.after.fit.problem.unknowns.model_paths
+        """The parameters that were fitted, of the model and of films, as far as these data see them."""
+        unknowns = self.after.fit.problem.unknowns
+        paths = (*unknowns.model_paths, *unknowns.other_paths)
+        return tuple(path for path in paths if np.isfinite(self.after.fit.error(path)))
 
     def document(self) -> dict[str, Any]:
         """Everything that is told, as plain values."""
@@ -52,6 +56,7 @@ class Calibrated:
             ],
             "fit": {
                 "parameters": [self._parameter(path) for path in self.free],
+                "unseen": [path for path in self.asked if path not in self.free],
                 "correlation": [[float(value) for value in row] for row in self._correlation()],
                 "correlated": self._correlated(),
                 "profiles": [
@@ -70,6 +75,9 @@ class Calibrated:
     @property
     def sentence(self) -> str:
         """What to say first."""
+        if not self.after.observed.of_modules:
+            films = dict.fromkeys(path.split(".")[1] for path in self.after.fit.problem.unknowns.other_paths)
+            return f"spectra of {', '.join(films) or 'films'} fitted"
         substrate, receiver = (named(getattr(self.after.fit.model.environment, part)) for part in PARTS)
         return f"substrate {substrate}; receiver {receiver}"
 
@@ -88,13 +96,16 @@ class Calibrated:
         return chosen
 
     def _parameter(self, path: str) -> dict[str, Any]:
-        fit = self.after.fit
-        value, error, limits = fit.value(path), fit.error(path), self.after.fit.model.fit[path]
+        before, fit = self.before.fit, self.after.fit
+        value, error = fit.value(path), fit.error(path)
+        (limits,) = (one for one in fit.problem.unknowns.parameters if one.name == path)
+        prior = (limits.prior_mean, limits.prior_sd) if np.isfinite(limits.prior_sd) else (None, None)
+        start = before.value(path) if path in before.names else before.model.leaves()[path]
         return {
-            "path": path, "unit": unit_of(path), "start": self.before.fit.model.leaves()[path], "value": value,
+            "path": path, "unit": unit_of(path), "start": start, "value": value,
             "error": error, "lower95": max(value - NORMAL_95 * error, limits.lower),
-            "upper95": min(value + NORMAL_95 * error, limits.upper), "prior_mean": limits.prior_mean,
-            "prior_sd": limits.prior_sd, "at_limit": path in fit.at_limit,
+            "upper95": min(value + NORMAL_95 * error, limits.upper), "prior_mean": prior[0],
+            "prior_sd": prior[1], "at_limit": path in fit.at_limit,
         }  # fmt: skip
 
     def _correlation(self) -> Any:
@@ -141,12 +152,12 @@ def calibrated(
             for after_stage, stage in experiment.in_turn(model, progress):
                 model = after_stage
                 stages.append(stage)
-    kept = [path for path in free if path in model.fit]
+    kept = [path for path in free if path in model.fit and (observed.of_modules or path.startswith("effects."))]
     progress(0.0, "the fit, with Monte Carlo" if solver.histories else "the fit")
     after = compared(model, observed, predictor, solver, free=kept, cache=cache)
     progress(0.5, "profiles")
     held = [path for path in kept if path not in after.fit.at_limit and np.isfinite(after.fit.error(path))]
-    return Calibrated(tuple(stages), before, after, tuple(profile(after.fit, path) for path in held))
+    return Calibrated(tuple(stages), before, after, tuple(profile(after.fit, path) for path in held), tuple(free))
 
 
 def named(surface: Surface) -> str:

@@ -155,13 +155,13 @@ class Comparison:
             arrays[f"{shot}/measured_dn"] = np.where(image.used, image.signal_dn, np.nan)
             arrays[f"{shot}/model_dn"] = np.asarray(model)
             arrays[f"{shot}/z"] = np.where(image.used, z, np.nan)
-        sigmas, residuals = self.fit.whitening.curve_sigma, self._curve_residuals()
+        sigmas, residuals = self.fit.whitening.curve_sigma, self.fit.residual_curves
         for curve, sigma, z in zip(self.fit.problem.curves, sigmas, residuals, strict=True):
             arrays |= _curve_arrays(curve, sigma, z)
         return arrays
 
     def residual_maps(self) -> dict[str, Real]:
-        """Residuals of the images in standard deviations, 0 where unused."""
+        """Residuals in standard deviations, 0 where unused; a curve is a map of one row."""
         return maps_of(self.fit)
 
     def _shot(self, shot: str) -> dict[str, Any]:
@@ -174,7 +174,7 @@ class Comparison:
             if image.shot.id == shot:
                 return same | self._image(image, np.asarray(self.fit.signals_dn[number]))
         number = [curve.id for curve in self.fit.problem.curves].index(shot)
-        return same | self._curve(number, self._curve_residuals()[number])
+        return same | self._curve(number, self.fit.residual_curves[number])
 
     def _image(self, image: MeasuredImage, model_dn: Real) -> dict[str, Any]:
         shot, used = image.shot.id, image.used
@@ -223,12 +223,6 @@ class Comparison:
             "model_noise_share": self.curve_noise_shares[curve.id],
             "unit": "deg" if curve.is_angle else "1",
         }  # fmt: skip
-
-    def _curve_residuals(self) -> list[Real]:
-        """Whitened residual of each curve."""
-        rows = self.fit.residual[self.fit.whitening.count :]
-        ends = np.cumsum([len(curve.value) for curve in self.fit.problem.curves])
-        return [np.asarray(part) for part in np.split(rows, ends[:-1])] if len(ends) else []
 
     def _parameters(self) -> list[dict[str, Any]]:
         """What was fitted beside the nuisances."""
@@ -289,8 +283,10 @@ class _Curves:
 
 
 def maps_of(found: Fit) -> dict[str, Real]:
-    """Residuals of a fit's images in standard deviations, 0 where unused, by shot."""
-    return {image.shot.id: z for image, z in zip(found.problem.images, found.residual_images, strict=True)}
+    """Residuals of a fit in standard deviations, (row, column), 0 where unused, by shot; a curve is one row."""
+    images = {image.shot.id: z for image, z in zip(found.problem.images, found.residual_images, strict=True)}
+    curves = zip(found.problem.curves, found.residual_curves, strict=True)
+    return images | {curve.id: z[None] for curve, z in curves}
 
 
 def differing(p_of: Mapping[str, float]) -> list[str]:

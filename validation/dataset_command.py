@@ -35,19 +35,20 @@ def check(
         write_sums(folder_of(dataset))
     findings = findings_of(dataset)
     _tell_findings(dataset, findings, as_json)
-    for note in () if as_json else _notes(folder_of(dataset), seal):
+    wrong = any(finding.level == "error" for finding in findings)
+    for note in () if as_json else _notes(folder_of(dataset), seal, wrong):
         typer.echo(note)
-    if any(finding.level == "error" for finding in findings):
+    if wrong:
         raise typer.Exit(2)
 
 
-def _notes(folder: Path, sealed: bool) -> Iterator[str]:
+def _notes(folder: Path, sealed: bool, wrong: bool) -> Iterator[str]:
     """What is no finding: that sums were written, and that guesses of an import still stand."""
     from validation.dataset.importing import CHECK
     from validation.dataset.manifest_file import MANIFEST
 
     if sealed:
-        yield "the files' sums are written anew"
+        yield "the files' sums are written anew" + ("; the errors stay: the data cannot be used so" if wrong else "")
     file = folder / MANIFEST
     lines = file.read_text(encoding="utf-8", errors="replace").splitlines() if file.is_file() else []
     if guesses := sum(CHECK in line for line in lines):

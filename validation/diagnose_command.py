@@ -150,7 +150,7 @@ def diagnose(
     ) as (engine, subject, at):  # fmt: skip
         found = engine.diagnosed()
         told_of = facts_of(subject, at, engine, pixel_um, film) | document(found, seed)
-        told_of |= {"not_tested": engine.untested}
+        told_of |= {"not_tested": engine.untested, "held": [one.document() for one in engine.held(found)]}
         at.record(told_of, maps_of(found.steps[0].ground.fit))
         arrays = {}
         if draw is not None:

@@ -23,6 +23,7 @@ from validation.diagnose.ending import finished
 from validation.diagnose.frozen import slopes_of
 from validation.diagnose.ground import Ground
 from validation.diagnose.groups import joined
+from validation.diagnose.held import Held, held_alike
 from validation.diagnose.next_measurement import Proposal, Rivals
 from validation.diagnose.refit import refit
 from validation.diagnose.refitted import Refitted
@@ -197,6 +198,14 @@ class Diagnosing:
         ground = self.ground(self.fitted(self.model))
         means = Means(self.signatures, self.closely, self._members_fit, self.ground, self.next_image, self.progress)
         return diagnosed(ground, effects, means, seed=self.solver.seed)
+
+    def held(self, found: Diagnosis) -> list[Held]:
+        """Numbers of films that the data set holds and that would do what the best effect does."""
+        first = found.steps[0]
+        drops = [one.drop for one in first.explanations if one.plausible]
+        if first.verdict.word == "nothing_visible":
+            return []
+        return held_alike(first.ground.fit, self.predictor, max(drops, default=0.0))
 
     def spec(self, name: str) -> EffectSpec:
         """An effect by name; InputError with what is near, or why these data cannot show it."""

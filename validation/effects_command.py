@@ -159,19 +159,18 @@ def confusion(
     from luxloop.model_file import find_model
     from validation.dataset.folder import read_dataset
     from validation.effects.confusing import confusion as confused
-    from validation.effects.confusing import curve_ground, image_ground
+    from validation.effects.confusing import grounds
     from validation.effects.told import confusing
     from validation.observed import Observed
 
     draw = view_of("confusion", page) if page is not None else None
     chosen = find_model(model)
-    images = None if dataset is None else Observed.of(read_dataset(dataset)).images
+    observed = None if dataset is None else Observed.of(read_dataset(dataset))
     with _asked(effects, router, no_local, not (quiet or as_json), "predicting") as at:
         names = [name.strip() for one in only or () for name in one.split(",") if name.strip()]
         specs = [at.known.spec(one) for one in names] if names else list(at.known.specs)
-        found = [confused(image_ground(chosen, at.predictor, at.known, images), chosen, specs, at.say)]
-        if dataset is None:
-            found.append(confused(curve_ground(chosen, at.predictor), chosen, specs, at.say))
+        seen = grounds(chosen, at.predictor, at.known, observed)
+        found = [confused(ground, chosen, specs, at.say) for ground in seen]
     document = {"model": chosen.name, "maps": [one.document() for one in found if one.names]}
     if draw is not None:
         draw(document, {}, page)

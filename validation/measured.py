@@ -103,6 +103,7 @@ def measured_images(dataset: Dataset, compare_pixel_um: float | None = None) -> 
     Raises InputError for a file that cannot be read or does not fit, numbers that are not finite, a flat that is not
     above 0, and an image without a usable pixel or without light.
     """
+    refuse_no_pixel(compare_pixel_um)
     camera, shots = dataset.manifest.camera, dataset.manifest.images()
     if camera is None or not shots:
         return []
@@ -118,13 +119,18 @@ def measured_images(dataset: Dataset, compare_pixel_um: float | None = None) -> 
     return images
 
 
+def refuse_no_pixel(compare_pixel_um: float | None) -> None:
+    """InputError for a size that no pixel has."""
+    if compare_pixel_um is not None and not 0.0 < compare_pixel_um < math.inf:
+        raise InputError("compare_pixel_um", compare_pixel_um, "above 0 um", "leave it out for 1/16 of the pitch")
+
+
 def binning(dataset: Dataset, compare_pixel_um: float | None = None) -> int:
-    """How many camera pixels make the side of a bin; see `measured_images`. Raises InputError below 0 um."""
+    """How many camera pixels make the side of a bin, see `measured_images`; InputError for a pixel of no size."""
+    refuse_no_pixel(compare_pixel_um)
     camera, manifest = dataset.manifest.camera, dataset.manifest
     if camera is None:
         return 1
-    if compare_pixel_um is not None and not 0.0 < compare_pixel_um < math.inf:
-        raise InputError("compare_pixel_um", compare_pixel_um, "above 0 um", "leave it out for 1/16 of the pitch")
     pitches_um = [manifest.sample(shot.sample).spacing_um for shot in manifest.images()]
     wanted_um = compare_pixel_um or min(pitches_um) / PIXELS_PER_PITCH
     return max(1, math.floor(wanted_um / camera.pixel_um + 1e-9))

@@ -64,6 +64,8 @@ def previous(path: Path) -> int:
     """The number of the version before the one that the file holds; InputError where there is none."""
     known = versions(path)
     now = read_text(path) if path.exists() or not known else None  # a deleted file has all its versions before it
+    if len(known) > 1 and [version_text(path, one.number) == now for one in known[-2:]] == [True, False]:
+        known.pop()  # a save that was killed before it wrote the file: nobody has ever had that version
     while known and version_text(path, known[-1].number) == now:
         known.pop()
     if not known:

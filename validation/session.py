@@ -161,7 +161,11 @@ def session(
             asking = Asking(client)
             if subject.model.effects:  # before anything is traced
                 Known.ask(asking).refuse_unknown(subject.model)
-            yield Session(subject, command, seed, door, asking, Predictor(asking))
+            try:
+                yield Session(subject, command, seed, door, asking, Predictor(asking))
+            except KeyboardInterrupt:
+                sys.stderr.write(f"luxloop: {command} interrupted; its run so far is {door.begun.folder}\n")
+                raise
             ended = door.end("told", complete=True)
     if say:
         sys.stderr.write(f"luxloop: on record in {ended.folder}, root {ended.root}\n")

@@ -32,9 +32,14 @@ def comparison(document: Document) -> Iterator[str]:
     if not document["trusted"]:
         yield f"Not to be trusted: {document['reason']}."
     yield from pulled(images)
-    traced = any(shot["kind"] != "spectrum" for shot in document["shots"])  # films have no other solver
-    if traced and document["solver"]["method"] == "twin":
+    if _by_twin(document):
         yield "By the twin alone, whose own error may show as structure: leave --twin out for the verdict."
+
+
+def _by_twin(document: Document) -> bool:
+    """Whether the twin spoke where Monte Carlo could have: films have no other solver."""
+    traced = any(shot["kind"] != "spectrum" for shot in document["shots"])
+    return traced and document["solver"]["method"] == "twin"
 
 
 def pulled(images: Sequence[Document]) -> Iterator[str]:
@@ -117,6 +122,8 @@ def calibration(document: Document) -> Iterator[str]:
     heads = ("fitted", "value", "95 % interval", "was")
     yield from table(heads, [_fitted(row) for row in fit["parameters"]])
     yield from fit["correlated"]
+    if fit.get("unseen"):
+        yield f"not seen by these data: {', '.join(fit['unseen'])}"
     yield ""
     before, after = document["errors"]
     heads = ("shot", "rms error before", "after", "noise")
@@ -131,7 +138,7 @@ def calibration(document: Document) -> Iterator[str]:
     yield f"{document['sentence']}; {left}."
     if not document["trusted"]:
         yield f"Not to be trusted: {document['reason']}."
-    if document["solver"]["method"] == "twin":
+    if _by_twin(document):
         yield "By the twin alone, whose own error moves values by more than their errors: leave --twin out to decide."
     if document.get("version") is None:
         yield f"{document['model']['file']} is as it was."

@@ -65,6 +65,7 @@ def page_of(document: Document, arrays: Arrays) -> str:
 def _head(document: Document) -> Iterator[str]:
     yield html.heading(f"Diagnosis of {document['model']['name']} on {document['dataset']['name']}")
     yield paragraph(document["sentence"], "lead")
+    yield from (paragraph(one["words"], "note") for one in document.get("held", ()))
     structure = document["structure"]
     rows = [
         (structure["p_text"], "structure p: how often noise alone leaves as much, before any effect is added"),

@@ -100,6 +100,7 @@ def document_of(journal: RunJournal) -> dict[str, Any]:
         "folder": str(journal.folder),
         **{name: run.get(name, "") for name in ("run", "kind", "model", "reward", "designer", "version")},
         "state": state,
+        "left_early": "" if journal.close is None or journal.close.complete else journal.close.reason,
         "segments": [part.as_object() for part in contents],
         "size_bytes": total.size_bytes,
         "topics": dict(sorted(total.topics.items())),
@@ -118,8 +119,9 @@ def document_of(journal: RunJournal) -> dict[str, Any]:
 
 def as_text(document: dict[str, Any]) -> str:
     """The same for people."""
+    early = f"; left early: {document['left_early']}" if document["left_early"] else ""
     lines = [
-        _row("run", f"{document['run']} ({document['kind']}), {document['state']}"),
+        _row("run", f"{document['run']} ({document['kind']}), {document['state']}{early}"),
         _row("folder", document["folder"]),
         _row("model", f"{document['model'] or '-'}, reward {document['reward'] or '-'}"),
         _row("written by", f"luxloop {document['version']}, Python {document['environment'].get('python', '?')}"),

@@ -44,6 +44,9 @@ SIMULATE = (
     "--histories", "1000000", "--seed", "5", "--keep-truth", "--json",
 )  # fmt: skip
 
+WAFER = Path(__file__).parents[2] / "examples" / "wafer"
+CHI2 = "chi2 per value, oxide-psi"
+
 pytestmark = pytest.mark.slow
 
 
@@ -102,11 +105,30 @@ def test_where_names_the_layer_that_a_wrong_film_lacks(place: tuple[Settings, Pa
     assert "Fringes equally spaced" in (place[1] / "where.html").read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize(("level", "row"), [("3", "sentence"), ("4", "the fit anew, sentence")])
+def test_calibrate_fits_what_the_films_free(place: tuple[Settings, Path]) -> None:
+    """Far fields see the module's parameters, spectra alone do not: those are told as unseen."""
+    wafer = ("--model", "wafer.toml")
+    assert luxloop(*place, "compare", str(WAFER), *wafer).returncode == 0
+    found = document(place, "calibrate", *wafer, "--fit-only", "--dry-run", "--page", "calibration.html")
+    assert [one["path"] for one in found["fit"]["parameters"]] == ["films.wafer.layers.0.thickness_nm"]
+    assert "environment.substrate.reflectance" in found["fit"]["unseen"]
+    assert found["trusted"]
+    text = luxloop(*place, "calibrate", *wafer, "--fit-only", "--dry-run").stdout
+    assert "not seen by these data: environment." in text
+    assert "substrate Gaussian" not in text
+
+
+def test_effects_are_told_apart_by_spectra(place: tuple[Settings, Path]) -> None:
+    """Without images the map is that of the curves."""
+    found = document(place, "effects", "confusion", str(WAFER))
+    assert [one["ground"] for one in found["maps"]] == ["2 spectra"]
+
+
+@pytest.mark.parametrize(("level", "row"), [("3", "sentence"), ("4", "the fit anew, sentence"), ("2", CHI2)])
 def test_the_comparison_is_replayed(place: tuple[Settings, Path], level: str, row: str) -> None:
     """What was told follows again: from the record, and from workers that are asked the same."""
     run = document(place, "compare", "data", "--twin")["folder"]
     replayed = document(place, "audit", "replay", run, "--level", level)
     assert replayed["counts"]["differs"] == 0
-    assert replayed["compared"][row] == {"identical": 1}
+    assert replayed["compared"][row] == {"tolerance" if level == "2" else "identical": 1}
     assert replayed["exit"] == 0

@@ -76,6 +76,19 @@ def test_undo_goes_back_and_undo_again_forth(tmp_path: Path) -> None:
     assert len(versions(path)) == 5
 
 
+def test_undo_after_a_save_that_was_killed_before_the_file_was_written(tmp_path: Path) -> None:
+    """Its version is there, its text in no file: undo goes back from what the file holds, never forth to that."""
+    path = tmp_path / "model.toml"
+    save(path, Model(name="a"), "one")
+    save(path, Model(name="b"), "two")
+    held = path.read_text(encoding="utf-8")
+    save(path, Model(name="c"), "killed")
+    path.write_text(held, encoding="utf-8")
+    assert previous(path) == 1
+    undo(path)
+    assert read_model(path).name == "a"
+
+
 def test_what_was_edited_by_hand_is_kept_before_it_is_replaced(tmp_path: Path) -> None:
     """Even where the edit is no model, undo brings it back letter by letter."""
     path = tmp_path / "model.toml"

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
+from importlib.metadata import entry_points
 from pathlib import Path
 
 from luxloop.errors import InputError
@@ -61,8 +62,21 @@ def check(path: str | Path) -> list[Finding]:
         return [_finding(error)]
     found = [_finding(fault) for fault in faults]
     if manifest is not None and not faults:
-        found += _of_files(folder, manifest)
+        found += [*_of_films(manifest), *_of_files(folder, manifest)]
     return sorted(_few_of_a_kind(found), key=lambda finding: finding.level)
+
+
+def _of_films(manifest: Manifest) -> Iterator[Finding]:
+    """Materials of films that no worker has a table of; the one who has the tables says so."""
+    for film in manifest.films:
+        layers = {f"layers.{number}.material": layer.material for number, layer in enumerate(film.layers)}
+        for field, name in {"incident": film.incident, "exit": film.exit, **layers}.items():
+            for tables in entry_points(group="luxloop.materials") if name is not None else ():
+                try:
+                    tables.load()(name)
+                except InputError as error:
+                    where = f'{MANIFEST}: films["{film.id}"].{field}'
+                    yield _finding(InputError(where, error.value, error.allowed, error.mend))
 
 
 def _of_files(folder: Path, manifest: Manifest) -> Iterator[Finding]:

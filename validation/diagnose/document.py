@@ -70,8 +70,8 @@ def document(found: Diagnosis, seed: int) -> dict[str, Any]:
 
 
 def shot_documents(fit: Fit) -> list[dict[str, Any]]:
-    """The images of a fit, and what is left in them."""
-    return [
+    """The images and the curves of a fit, and what is left in them."""
+    images = [
         {
             "id": image.shot.id, "kind": "image", "sample": image.sample.id, "pixel_um": image.pixel_um,
             "dbr_pairs": image.sample.dbr_pairs, "centre_px": list(image.centre_px),
@@ -79,6 +79,14 @@ def shot_documents(fit: Fit) -> list[dict[str, Any]]:
         }
         for image, z in zip(fit.problem.images, fit.residual_images, strict=True)
     ]  # fmt: skip
+    curves = [
+        {
+            "id": curve.id, "kind": "far_field" if curve.free_scale else "spectrum", "pixels": int(curve.value.size),
+            "chi2_per_pixel": float(np.mean(z**2)),
+        }
+        for curve, z in zip(fit.problem.curves, fit.residual_curves, strict=True)
+    ]  # fmt: skip
+    return images + curves
 
 
 def structure_document(found: Structure) -> dict[str, Any]:

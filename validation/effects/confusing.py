@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from luxloop.effect import EffectSpec
-from luxloop.errors import RemoteError
+from luxloop.errors import InputError, RemoteError
 from luxloop.model import Model
 from validation.effects.confounding import ALIKE, confounding
 from validation.effects.example_set import example_images, film_curves, film_projection
@@ -23,8 +23,10 @@ from validation.effects.signatures import (
     projected,
     signature,
 )
+from validation.fit.curves import curve_of
 from validation.fit.problem import view_of
-from validation.measured import MeasuredImage
+from validation.measured import MeasuredImage, MeasuredSpectrum
+from validation.observed import Observed
 from validation.prediction import Pose, Predictor, Sensor
 
 Real = NDArray[np.float64]
@@ -71,6 +73,35 @@ def image_ground(
 def curve_ground(model: Model, predictor: Predictor) -> Ground:
     """Curves of the example film, its thickness and index free."""
     return Ground("the example film", Sight(predictor, (), film_curves()), film_projection(model, predictor))
+
+
+def spectra_ground(model: Model, predictor: Predictor, observed: Observed) -> Ground:
+    """The spectra that were measured, their films as the data set describes them; what it frees of them may move."""
+    measured = [one.source for one in observed.curves if isinstance(one.source, MeasuredSpectrum)]
+    curves = [curve_of(one, observed.films_at) for one in measured]
+    errors = [one.table.sigma for one in measured]
+    projection = Projection.of_curves(model, curves, errors, list(observed.films_at), predictor)
+    return Ground(f"{len(curves)} spectra", Sight(predictor, (), curves), projection)
+
+
+def grounds(model: Model, predictor: Predictor, known: Known, observed: Observed | None = None) -> Iterator[Ground]:
+    """What effects are told apart by: the images and the spectra of a data set, else six examples and a film.
+
+    Raises InputError for a data set that has neither.
+    """
+    if observed is None:
+        yield image_ground(model, predictor, known)
+        yield curve_ground(model, predictor)
+        return
+    spectra = [one for one in observed.curves if not one.free_scale]
+    if not observed.images and not spectra:
+        raise InputError(
+            "DATASET", ", ".join(observed.shots) or None, "images or spectra", "far fields are scored by diagnose"
+        )
+    if observed.images:
+        yield image_ground(model, predictor, known, observed.images)
+    if spectra:
+        yield spectra_ground(model, predictor, observed)
 
 
 @dataclass(frozen=True, eq=False)

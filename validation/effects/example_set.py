@@ -11,7 +11,6 @@ from luxloop.model import Model
 from validation.dataset.manifest import CameraFacts, FilmLayer, FilmSample, ImageShot, Sample, SpectrumShot
 from validation.dataset.spectra import SpectrumTable
 from validation.effects.signatures import Projection
-from validation.fit.whitening import Whitening
 from validation.measured import MeasuredImage, MeasuredSpectrum
 from validation.prediction import Curve, Predicted, Predictor, View
 
@@ -116,14 +115,8 @@ def film_projection(model: Model, predictor: Predictor) -> Projection:
     """The example film's curves with an instrument's errors; its thickness and index may move."""
     curves = film_curves()
     paths = [f"films.{FILM.id}.layers.0.{name}" for name in FILM_FREE]
-    found = predictor.spectra(model, curves, paths)
-    sigma = tuple(np.full(81, FILM_ERRORS[curve.quantity]) for curve in curves)
-    columns = [
-        np.concatenate([one.jacobian[path] / error for one, error in zip(found, sigma, strict=True)])
-        for path in paths
-    ]
-    taken, _ = np.linalg.qr(np.array(columns).T)
-    return Projection(Whitening((), (), (), (), sigma), (), (1.0,) * len(curves), taken)
+    sigma = [np.full(81, FILM_ERRORS[curve.quantity]) for curve in curves]
+    return Projection.of_curves(model, curves, sigma, paths, predictor)
 
 
 def example_spectra(model: Model, predictor: Predictor) -> list[MeasuredSpectrum]:

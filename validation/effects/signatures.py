@@ -381,6 +381,20 @@ class Projection:
         taken = (basis(columns, reduced, mask).data for mask in (np.ones(len(columns), bool), _nuisances(problem)))
         return cls(white, gains, (), *taken)
 
+    @classmethod
+    def of_curves(
+        cls, model: Model, curves: Sequence[Curve], sigma: Sequence[Real], paths: Sequence[str], predictor: Predictor
+    ) -> Projection:
+        """About curves of films as they stand, (row,) errors each; the films' parameters at these paths may move."""
+        found = predictor.spectra(model, curves, paths)
+        columns = [
+            np.concatenate([one.jacobian[path] / error for one, error in zip(found, sigma, strict=True)])
+            for path in paths
+        ]
+        rows = sum(map(len, sigma))
+        taken, _ = np.linalg.qr(np.array(columns).reshape(len(paths), rows).T)
+        return cls(Whitening((), (), (), (), tuple(sigma)), (), (1.0,) * len(curves), taken)
+
     def rows(self, column: Column) -> Real:
         """Its parts in standard deviations, one after the other; nothing taken out yet."""
         count = len(self.gains)

@@ -53,12 +53,17 @@ def fit(
     asked after the twin has been fitted, and again where the fit has moved away from it. `most_histories`: the last
     anchor is made once more with as many as bring its noise down to `WANTED_NOISE`, at most so many.
 
-    Raises InputError where there is nothing to fit, or a path has no limits.
+    Raises InputError where there is nothing to fit, no more than is fitted to it, or a path has no limits.
     """
     if not images and not curves:
         raise InputError("shots", 0, "at least one image or curve", "see luxloop dataset check")
     paths = free_paths(model) if free is None else tuple(free)
     unknowns = unknowns_of(model, paths, images, curves, others, discrepancies)
+    values = sum(int(image.used.sum()) for image in images) + sum(curve.value.size for curve in curves)
+    loose = sum(not np.isfinite(one.prior_sd) for one in unknowns.parameters)
+    if values <= loose:
+        mend = "measure more, or free less"
+        raise InputError("shots", f"{values} values in all", f"more than the {loose} that are fitted to them", mend)
     problem = Problem(
         model, unknowns, tuple(images), predictor, tuple(curves), predict_curves, tuple(discrepancies),
         _lent(model, anchor_at, images, paths),

@@ -36,7 +36,7 @@ class CurvesOf:
         found: dict[int, PredictedCurve] = {}
         spectra = {n: one.source for n, one in enumerate(curves) if isinstance(one.source, MeasuredSpectrum)}
         if spectra:
-            asked = [_spectrum(one, others) for one in spectra.values()]
+            asked = [curve_of(one, others) for one in spectra.values()]
             of_films = (*others, *(path for path in paths if path.startswith("effects.")))
             found |= dict(zip(spectra, self._predictor.spectra(model, asked, of_films), strict=True))
         far = {n: one.source for n, one in enumerate(curves) if isinstance(one.source, MeasuredFarField)}
@@ -73,8 +73,8 @@ def _of_far_field(one: MeasuredFarField) -> CurveData:
     return CurveData(one.shot.id, table.value, table.sigma, False, True, table.theta_deg, "deg", one)
 
 
-def _spectrum(one: MeasuredSpectrum, values: Mapping[str, float]) -> Curve:
-    """The question about a spectrum with its film as the fit has it now."""
+def curve_of(one: MeasuredSpectrum, values: Mapping[str, float]) -> Curve:
+    """The question about a spectrum with its film's parameters at these values, by path."""
     film, table = one.film, one.table
     for path, value in values.items():
         if path.startswith(f"films.{film.id}."):

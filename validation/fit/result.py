@@ -97,6 +97,12 @@ class Fit:
         return self.whitening.unfold(self.residual[: self.whitening.count])
 
     @property
+    def residual_curves(self) -> list[Real]:
+        """Whitened residual of each curve, (row,)."""
+        rows, ends = self.residual[self.whitening.count :], np.cumsum([len(one.value) for one in self.problem.curves])
+        return [np.asarray(part) for part in np.split(rows, ends[:-1])] if len(ends) else []
+
+    @property
     def poses(self) -> dict[str, Pose]:
         """Poses by shot."""
         by_name = self.problem.unknowns.named(self.values)

@@ -8,16 +8,19 @@ import pytest
 
 from luxloop.model_file import find_model
 from tests.validation.workers import Workers
+from validation.dataset.folder import read_dataset
 from validation.effects.checking import derivative
 from validation.effects.confounding import confounding
-from validation.effects.confusing import Ground, curve_ground
+from validation.effects.confusing import Ground, confusion, curve_ground, grounds
 from validation.effects.known import Known
 from validation.effects.signatures import projected
 from validation.effects.templates import source_of
+from validation.observed import Observed
 from validation.prediction import Predictor
 from validation.self_diagnosis import self_diagnosed
 
 PAPER = find_model("paper")
+WAFER = Path(__file__).parents[3] / "examples" / "wafer"
 RIVALS = ("film_absorption_tail", "film_interface_roughness")
 
 
@@ -70,3 +73,15 @@ def test_an_effect_hidden_in_curves_is_found_again(workers: Workers, ground: Gro
     finding = self_diagnosed(ground, predictor, few, PAPER, spec, ground.columns(PAPER, spec))
     assert finding.ok, finding.said
     assert finding.said.endswith(f"hidden, 20 sigma: one_effect: {name}")
+
+
+def test_effects_are_told_apart_on_measured_spectra(workers: Workers) -> None:
+    """Of the shipped wafer: an own thickness is imitated by the free one, thin layers are alike."""
+    known, predictor = Known.ask(workers), Predictor(workers)
+    (ground,) = grounds(PAPER, predictor, known, Observed.of(read_dataset(WAFER)))
+    names = ("film_thickness_error", "film_missing_layer", "film_interlayer", "film_thickness_spread", "vignetting")
+    found = confusion(ground, PAPER, [known.spec(name) for name in names])
+    assert found.ground == "2 spectra"
+    assert found.imitated == ("film_thickness_error",)
+    assert ("film_missing_layer", "film_interlayer") in [tuple(sorted(one, reverse=True)) for one in found.groups]
+    assert "vignetting" not in found.names
