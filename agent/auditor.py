@@ -33,7 +33,7 @@ EXACT = ("episode", "greedy", "updates")
 REAL = ("epsilon", "q", "loss")
 OTHER_MACHINE = 1e-3
 """Relative: how far Q and loss may be off where packages or processor are others; float32 rounds by 6e-8."""
-NEEDED = ("plan.json", "campaign.json")
+NEEDED, VALIDATION = ("plan.json", "campaign.json"), "validation"
 RESULT = ("reason", "steps", "evaluations", "episodes", "start", "best", "without_dbr", "finalists")
 """Of what was found: all that no clock decides."""
 TIME = "time:"
@@ -53,6 +53,8 @@ def re_decide(journal: RunJournal, say: Callable[[Compared], None], *, same_mach
 
     Raises InputError where plan or settings on record are none.
     """
+    if journal.metadata("run").get("kind") == VALIDATION:
+        return  # nobody proposes there
     attachments = journal.attachments()
     for name in NEEDED:
         if name not in attachments:

@@ -159,6 +159,7 @@ def test_ctrl_c_finishes_the_steps_under_way_and_the_journal(running: Set) -> No
     assert "interrupted" in out
     assert "luxloop campaign resume stop" in out
     assert (journal / "audit.sha256").exists()
+    assert "finished; left early: interrupted" in luxloop(running, "audit", "info", "stop").stdout
 
 
 def luxloop(running: Set, *argv: str) -> subprocess.CompletedProcess[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,8 @@ from tests.validation.datasets import PEAK_DN, edit, light, photographed, write_
 from validation import dataset_command
 from validation.dataset.folder import read_dataset
 from validation.measured import measured_images
+
+WAFER = Path(__file__).parents[2] / "examples" / "wafer"
 
 CAMERA = ("--pixel-um", "24", "--bit-depth", "12", "--gain-dn-per-e", "0.05", "--read-noise-e", "6")
 DESIGN = ("--distance-um", "180", "--width-um", "40", "--thickness-um", "20", "--dbr-pairs", "5.5")
@@ -83,6 +86,18 @@ def test_check_seals_what_was_changed_on_purpose(tmp_path: Path) -> None:
     assert "nothing wrong" in said
     assert "sums are written anew" in said
     assert told("check", folder)["warnings"] == 0
+
+
+def test_check_knows_the_tables_of_materials_and_says_that_a_seal_mends_nothing(tmp_path: Path) -> None:
+    """A film of a misspelt material: an error by the place in the manifest, also after it was sealed."""
+    folder = tmp_path / "wafer"
+    shutil.copytree(WAFER, folder)
+    manifest = folder / "dataset.toml"
+    manifest.write_text(manifest.read_text().replace('"GaN"', '"GaNN"'))
+    found = told("check", folder, "--seal", code=2)
+    assert [one["field"] for one in found["findings"]] == ['films["wafer"].layers.0.material']
+    assert "did you mean GaN?" in found["findings"][0]["mend"]
+    assert "the errors stay" in run("check", folder, "--seal").output
 
 
 def test_check_counts_the_guesses_that_still_stand(tmp_path: Path) -> None:

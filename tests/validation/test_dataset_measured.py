@@ -17,6 +17,8 @@ from validation.measured import MeasuredImage, binning, measured_far_fields, mea
 BIN_UM = 48.0
 """Two camera pixels."""
 
+WAFER = Path(__file__).parents[2] / "examples" / "wafer"
+
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
@@ -170,8 +172,11 @@ def test_binning_is_whole_and_common_and_not_below_the_camera(folder: Path) -> N
     edit(folder, "spacing_um = 400.0", "spacing_um = 240.0")
     assert binning(read_dataset(folder)) == 3
     assert {image.binning for image in measured_images(read_dataset(folder))} == {3}
-    with pytest.raises(InputError, match="above 0 um"):
-        binning(read_dataset(folder), -1.0)
+    for none in (-1.0, 0.0, float("nan")):
+        with pytest.raises(InputError, match="above 0 um"):
+            binning(read_dataset(folder), none)
+    with pytest.raises(InputError, match="above 0 um"):  # also of spectra, which have no pixels
+        measured_images(read_dataset(WAFER), float("nan"))
 
 
 def test_pixels_left_over_are_cut_at_both_ends_and_the_centre_follows(folder: Path) -> None:
