@@ -67,6 +67,8 @@ def luxloop(folder: Path, command: str, *, json_wanted: bool = True) -> Any:
 def tell(title: str, found: dict[str, Any]) -> None:
     """A diagnosis in some lines."""
     print(f"\n{title}: {found['verdict']}, structure p {found['structure']['p_text']}\n  {found['sentence']}")
+    for one in found["held"]:
+        print(f"  {one['words']}")
     for row in found["effects"]:
         ((name, size),) = row["size"].items()
         held = "no held-out test"

@@ -130,5 +130,5 @@ def test_the_comparison_is_replayed(place: tuple[Settings, Path], level: str, ro
     run = document(place, "compare", "data", "--twin")["folder"]
     replayed = document(place, "audit", "replay", run, "--level", level)
     assert replayed["counts"]["differs"] == 0
-    assert replayed["compared"][row] == {"tolerance" if level == "2" else "identical": 1}
+    assert replayed["compared"][row] == {"within tolerance" if level == "2" else "identical": 1}
     assert replayed["exit"] == 0

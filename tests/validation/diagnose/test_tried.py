@@ -14,12 +14,15 @@ from validation.diagnose.tried import Tried
 FIRST, OWN, RIVALS = "the base's anchor", "an anchor of its own", "the rival's anchor"
 
 
-def one(name: str, drop: float, anchor: str, gap: float = 0.0) -> Any:
-    """An effect's refit, as far as the order of ends asks for it."""
+def one(name: str, drop: float, anchor: str, gap: float = 0.0, left: float = 20.0) -> Any:
+    """An effect's refit, as far as the order of ends asks for it; `left` of its 20 sigma beside the other one."""
     spec = SimpleNamespace(name=name, twin=True, walks=False, parameters=())
     fit = SimpleNamespace(gap=gap, problem=SimpleNamespace(anchor=anchor))
     candidate = SimpleNamespace(effect=spec, is_group=False)
-    return SimpleNamespace(name=name, drop=drop, plausible=True, fit=fit, candidate=candidate)
+    beside = dict.fromkeys(("truth", "rival"), left)
+    return SimpleNamespace(
+        name=name, drop=drop, plausible=True, fit=fit, candidate=candidate, sigma=20.0, sigma_rival=beside
+    )
 
 
 def never(*_: Any) -> Any:
@@ -65,6 +68,40 @@ def test_what_ended_about_the_first_monte_carlo_is_compared_about_its_rivals(
     list_of.look_into_group(never, never)
     assert asked == ["rival beside truth", *again]
     assert [found.fit.problem.anchor for found in list_of.refits] == list(ends)
+
+
+@pytest.mark.parametrize(("left", "asked_for"), [(20.0, []), (9.0, ["rival beside truth", "rival to its end"])])
+def test_what_looks_like_the_likeliest_is_fitted_though_it_gained_less(
+    monkeypatch: pytest.MonkeyPatch, left: float, asked_for: list[str]
+) -> None:
+    """At its end the likeliest gains more; a rival that is alike (9 of 20 sigma left) by what both gained before."""
+    asked: list[str] = []
+
+    def finished(found: Any, *_: Any) -> Any:
+        if found.name == "rival":
+            asked.append("rival to its end")
+        drop = {"truth": 160.0, "rival": 110.0}[found.name]
+        return one(found.name, drop, OWN, left=left)
+
+    def beside(found: Any, other: Any, _: Any) -> Any:
+        asked.append(f"{found.name} beside {other.name}")
+        return one(found.name, 110.0, OWN, left=left)
+
+    monkeypatch.setattr(tried, "finished", finished)
+    monkeypatch.setattr(tried, "beside", beside)
+    monkeypatch.setattr(tried, "as_fitted", lambda _, score, __: score)
+    monkeypatch.setattr(tried, "columns_of", lambda *_: None)
+    monkeypatch.setattr(tried, "is_smooth", lambda _: True)
+    monkeypatch.setattr(tried, "_explanation", lambda _, __, found, *___: found)
+    ground: Any = SimpleNamespace(
+        fit=SimpleNamespace(problem=SimpleNamespace(anchor=FIRST, predictor=None, predict_curves=None))
+    )
+    short: list[Any] = [
+        SimpleNamespace(name=name, best=SimpleNamespace(candidate=None)) for name in ("truth", "rival")
+    ]
+    refits = [one("truth", 103.0, FIRST, left=left), one("rival", 30.0, FIRST, left=left)]
+    Tried(ground, SimpleNamespace(own=lambda _: None), {}, short, refits, list[Any](refits)).finish(lambda *_: None)
+    assert asked == asked_for
 
 
 @pytest.mark.parametrize(
