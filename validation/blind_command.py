@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from luxloop.errors import InputError
 from luxloop.settings import load_settings
 from validation.calibrate_command import LastHistories
 from validation.compare_command import HISTORIES, Histories, Json, NoLocal, Page, Quiet, Router
@@ -63,6 +64,8 @@ def make(
     from validation.blind_test.truths import Counts
     from validation.dataset.simulation_plan import paper_plan, read_plan
 
+    if kinds is not None and not kinds.strip(" ,"):
+        raise InputError("--kinds", kinds, "names of kinds, with commas", "leave it out for all of them")
     asked = making.Asked(
         folder, Counts(sets, outside, two, nothing, draws, per_truth), making.seed_of(folder, seed), sigma,
         paper_plan() if plan is None else read_plan(plan), find_model(model),
@@ -101,6 +104,7 @@ def diagnose(
     """Diagnose every blind set that has no verdict yet, and put it on record; no seal is opened."""
     from validation.blind_test import told
     from validation.blind_test.alone import alone
+    from validation.blind_test.bound import end_of
     from validation.blind_test.folders import read_index
     from validation.blind_test.judging import Judge, chosen_model, not_made
     from validation.comparing import NULLS, Solver
@@ -120,7 +124,7 @@ def diagnose(
     judged, missing = sum(verdicts.values()), len(not_made(folder, index))
     document = {
         "folder": str(folder), "judged": judged, "before": len(index.sets) - judged - missing, "not_made": missing,
-        "verdicts": dict(verdicts.most_common()),
+        "verdicts": dict(verdicts.most_common()), "last_verdict": end_of(folder),
     }  # fmt: skip
     typer.echo(json.dumps(document) if as_json else "\n".join(told.judged(document)))
 

@@ -71,7 +71,7 @@ def _table(document: Document) -> Iterator[str]:
     )
     yield html.table(heads, [_row(row) for row in document["table"]], caption, words=2, ending=1)
     if document["without_verdict"]:
-        yield paragraph(f"{document['without_verdict']} sets have no verdict and do not count; their seals are shut.")
+        yield paragraph(f"{document['without_verdict']} more that were asked for have no verdict.")
     if document["not_checked"]:
         yield paragraph(f"Data of {document['not_checked']} sets are not there, only their records: not checked.")
     if document["too_weak"]:
@@ -143,11 +143,11 @@ def _misses(document: Document, arrays: Arrays) -> Iterator[str]:
     )
     for one in misses[:DRAWN]:
         maps = maps_of(one, arrays)
-        yield f"<h3>{html.escaped(one['id'])}: {html.escaped(one['truth'])}</h3>"
+        yield f"<h3>{html.escaped(_name(one))}: {html.escaped(one['truth'])}</h3>"
         yield paragraph(f"{_strength(one)} Said: {one['sentence']}")
         if maps:
             picture = residual_picture(maps, f"with {one['said']}")
-            yield html.figure(picture, f"Residuals of {one['id']}", "Residuals in sigma, ±4.")
+            yield html.figure(picture, f"Residuals of {_name(one)}", "Residuals in sigma, ±4.")
     if len(misses) > DRAWN:
         yield paragraph(f"{len(misses) - DRAWN} more are in the table of all sets.")
 
@@ -158,6 +158,11 @@ def _strength(one: Document) -> str:
     what = ", ".join(f"{each['kind']} {each['amount']:.3g} {each['unit']}".rstrip() for each in one["hidden"])
     beside = "" if one["sigma_rival"] is None else f", {one['sigma_rival']:.1f} beside its nearest rival"
     return f"Hidden: {what}; {one['sigma']:.1f} sigma{beside}."
+
+
+def _name(one: Document) -> str:
+    """Of a set among those of several folders."""
+    return f"{Path(one['folder']).name}/{one['id']}"
 
 
 def maps_of(one: Document, arrays: Arrays) -> list[dict[str, NDArray[Any]]]:

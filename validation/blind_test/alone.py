@@ -5,6 +5,7 @@ from __future__ import annotations
 import fcntl
 import os
 import socket
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -35,4 +36,22 @@ def alone(folder: Path, command: str, field: str = "FOLDER") -> Iterator[None]:
         lock.truncate(0)
         lock.write(f"luxloop blind {command} (process {os.getpid()} on {socket.gethostname()})")
         lock.flush()
-        yield
+        try:
+            yield
+        except KeyboardInterrupt:
+            sys.stderr.write(f"luxloop: blind {command} interrupted; the same command goes on where it was\n")
+            raise
+
+
+def refuse_busy(folder: Path) -> None:
+    """InputError where another process holds a folder: sets of one truth are judged before any seal of it opens."""
+    try:
+        lock = (folder / LOCK).open(encoding="utf-8")
+    except OSError:
+        return  # nobody has ever worked in it
+    with lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except BlockingIOError:
+            mend = f"{lock.read() or 'another process'} works in it: wait for its end"
+            raise InputError("FOLDER", str(folder), "a folder that nobody works in", mend) from None

@@ -1,11 +1,12 @@
 """What binds sets and verdicts to each other, so that a miss cannot be taken away without a trace.
 
     root       SHA-256 of {name: seal} of all sets: in blind.json, printed by `make`
-    record     a verdict, its number, the hash of the record before, its own hash
+    record     a verdict, its number, the hash of its residuals, that of the record before, its own
     chain.json how many records there are, and the hash of the last
     opened/    of each set whose seal was opened the hash of the verdict that was on record then
 
-All of it lies in one folder: who writes everything anew is found by nobody but him who noted the root.
+All of it lies in one folder: who writes everything anew is found by nobody but him who noted the root, and, of
+verdicts, where the chain ended; `make`, `diagnose` and `score` print them.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ from validation.blind_test.folders import (
     read_json,
     write_whole,
 )
-from validation.blind_test.records import read_record, record_path
+from validation.blind_test.records import maps_path, read_record, record_path
 
 FIRST = "0" * 64
 """Stands for the record before the first."""
@@ -67,6 +68,8 @@ def check_root(folder: Path, index: Index) -> None:
                 f"{folder.name}/{INDEX}", f"{len(index.sets)} sets", f"{count} that were asked for", WHOLE
             )
     if index.root is None:
+        if index.seals:
+            raise InputError(f"{folder.name}/{INDEX}", "no root", "the root of the seals that it lists", WHOLE)
         return
     names = {one.id for one in index.sets}
     if names != set(index.seals) or sha256_of(index.seals) != index.root:
@@ -153,6 +156,25 @@ def _check_end(folder: Path, chained: list[dict[str, Any]], end: Chain) -> None:
     if (said.get("records"), said.get("last")) not in ((end.count, end.last), (before.count, before.last)):
         mend = f"a verdict was taken away; {WHOLE}"
         raise InputError(CHAIN, f"{end.count} verdicts", f"{said.get('records')} verdicts", mend)
+
+
+def end_of(folder: Path) -> str | None:
+    """How many verdicts are on record, and the hash of the last; None where nothing chains them."""
+    path = folder / CHAIN
+    if not path.exists():
+        return None
+    said = read_json(path, CHAIN, "where the chain ends", WHOLE)
+    return f"{said.get('records')}, the last {said.get('last')}"
+
+
+def check_maps(folder: Path, name: str, record: Record) -> None:
+    """Raises InputError for residuals that are not those of the verdict; without them a page is drawn without."""
+    path, stated = maps_path(folder, name), record.get("maps_sha256")
+    if stated is None or not path.exists():
+        return
+    if (found := hashlib.sha256(path.read_bytes()).hexdigest()) != stated:
+        mend = "put back the file that diagnose wrote, or remove it: the page goes without"
+        raise InputError(f"{name}: residuals", found, f"those of the verdict, {stated[:16]}...", mend)
 
 
 # What was opened

@@ -11,6 +11,7 @@ import io
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -170,7 +171,9 @@ class Judge:
             **{name: told[name] for name in KEPT},
         }  # fmt: skip
         if first or record["verdict"] != "nothing_visible":
-            write_whole(maps_path(self.folder, one.id), packed(residuals_of(found)))
+            maps = packed(residuals_of(found))
+            write_whole(maps_path(self.folder, one.id), maps)
+            record["maps_sha256"] = sha256(maps).hexdigest()
         else:  # the same as those of the first, and a thousand times
             record |= {"confounding": {"names": [], "cosines": []}, "scores": record["scores"][:1]}
         placed = chain.added(record)

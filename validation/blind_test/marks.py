@@ -13,7 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from luxloop.errors import InputError
-from validation.blind_test.bound import chain_of, check_root
+from validation.blind_test.alone import refuse_busy
+from validation.blind_test.bound import chain_of, check_maps, check_root, refuse_opened
 from validation.blind_test.folders import Index, read_index
 from validation.blind_test.groups import group_of
 from validation.blind_test.records import read_record, record_path
@@ -202,14 +203,16 @@ def _fell(effect: Mapping[str, Any]) -> bool:
 def marked(folders: Sequence[Path]) -> list[Marked]:
     """All sets of all folders that have a verdict; only their seals are opened.
 
-    Raises InputError where there is no verdict at all, where two sets have one seal, the same data, or follow one
-    set, and what `bound.check_root`, `bound.chain_of` and `seals.opened` do.
+    Raises InputError where there is no verdict at all, where a diagnosis works in a folder, where two sets have one
+    seal, the same data, or follow one set, and what `bound.check_root`, `refuse_opened`, `chain_of` and
+    `seals.opened` do.
     """
     found: list[Marked] = []
     seen: dict[str, str] = {}
     for folder in folders:
         for name in _judged(folder):
             record = read_record(folder, name)
+            check_maps(folder, name, record)
             one = Marked(folder, opened(folder, name, record), record, has_data(folder, name))
             _count_once(one, seen)
             found.append(one)
@@ -219,7 +222,9 @@ def marked(folders: Sequence[Path]) -> list[Marked]:
 def _judged(folder: Path) -> list[str]:
     """The sets of a folder that have a verdict, once nothing was changed or taken away."""
     index: Index = read_index(folder)
+    refuse_busy(folder)
     check_root(folder, index)
+    refuse_opened(folder, index)
     chain_of(folder, index)
     names = [one.id for one in index.sets if record_path(folder, one.id).exists()]
     if not names:

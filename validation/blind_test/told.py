@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import Any
 
 from validation.told import table
@@ -29,6 +30,8 @@ def judged(document: Document) -> Iterator[str]:
     if document["not_made"]:
         again = f"repeat the `luxloop blind make {document['folder']} ...` that began them, then diagnose again"
         yield f"{document['not_made']} sets are not made yet: {again}"
+    if document["last_verdict"]:
+        yield f"verdicts: {document['last_verdict']} (note it: score prints it, too)"
     yield f"next: luxloop blind score {document['folder']}"
 
 
@@ -43,8 +46,9 @@ def scored(document: Document) -> Iterator[str]:
     """The table, who was taken for whom by group, the misses."""
     yield document["sentence"]
     if document["without_verdict"]:
-        yield f"{document['without_verdict']} sets have no verdict yet and do not count; their seals are shut."
+        yield f"{document['without_verdict']} more that were asked for have no verdict: not made, or not judged."
     yield from roots(document["roots"])
+    yield from (f"verdicts of {name}: {end}" for name, end in document["last_verdicts"].items() if end)
     if document["not_checked"]:
         yield not_checked(document["not_checked"])
     yield ""
@@ -111,4 +115,4 @@ def _confusion(document: Document) -> Iterator[str]:
 def _miss(one: Document) -> tuple[str, ...]:
     beside = "-" if one["sigma_rival"] is None else f"{one['sigma_rival']:.1f}"
     said = one["verdict"] + (f": {', '.join(one['set'])}" if one["set"] else "")
-    return (one["id"], one["truth"], f"{one['sigma']:.1f}", beside, said)
+    return (f"{Path(one['folder']).name}/{one['id']}", one["truth"], f"{one['sigma']:.1f}", beside, said)

@@ -12,7 +12,7 @@ from luxloop.errors import InputError
 from luxloop.settings import Settings
 from tests.validation.blind_test.pretend import answer, folder_of, hiding
 from tests.validation.test_loop import luxloop
-from validation.blind_test.alone import alone
+from validation.blind_test.alone import alone, refuse_busy
 
 HOLDER = """
 import sys, pathlib
@@ -39,9 +39,12 @@ def test_the_second_says_who_is_the_first(settings: Settings, tmp_path: Path) ->
         assert done.returncode == 2, done.stderr
         assert f"process {holder.pid}" in done.stderr
         assert "wait for its end" in done.stderr
+        with pytest.raises(InputError, match=f"process {holder.pid} on"):
+            refuse_busy(tmp_path / name)
         holder.communicate()
         with alone(tmp_path / name, "score"):
             pass
+        refuse_busy(tmp_path / name)
 
 
 def test_a_place_that_cannot_be_a_folder(tmp_path: Path) -> None:

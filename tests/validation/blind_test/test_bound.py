@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -38,6 +39,37 @@ def test_what_nobody_touched_counts(folder: Path) -> None:
     assert index.root == sha256_of(index.seals)
     assert found["roots"] == {str(folder): index.root}
     assert any(str(index.root) in line for line in told.scored(found))
+
+
+def test_the_last_verdict_is_told_and_a_miss_that_is_dropped_after_the_score_is_found(folder: Path) -> None:
+    """The chain put back by hand to the verdict before: its seal was opened, so it is missed."""
+    found = score([folder])
+    last = json.loads((folder / VERDICTS / "set-3.json").read_text())
+    assert found["last_verdicts"] == {str(folder): f"3, the last {last['sha256']}"}
+    assert any(last["sha256"] in line for line in told.scored(found))
+    (folder / VERDICTS / "set-3.json").unlink()
+    change(folder / CHAIN, records=2, last=last["before"])
+    with pytest.raises(InputError, match=r"set-3: verdict.*put back the verdict"):
+        score([folder])
+
+
+def test_residuals_of_another_verdict_are_found(folder: Path) -> None:
+    """Those that diagnose wrote have their hash in the record; without the file the page goes without."""
+    maps = folder / VERDICTS / "set-1.npz"
+    maps.write_bytes(b"of this verdict")
+    said = record("one_effect", "vignetting", maps_sha256=hashlib.sha256(b"of this verdict").hexdigest())
+    other = bound_folder_of(folder.parent / "maps", (answer("set-1", hiding("vignetting")), said))
+    assert score([other])["sets"] == 1
+    (other / VERDICTS / "set-1.npz").write_bytes(b"of another one")
+    with pytest.raises(InputError, match="set-1: residuals"):
+        score([other])
+
+
+def test_an_index_whose_root_was_taken_out_is_found(folder: Path) -> None:
+    """It lists the seals of all sets: somebody bound them."""
+    change(folder / INDEX, root=None)
+    with pytest.raises(InputError, match="no root"):
+        score([folder])
 
 
 @pytest.mark.parametrize("also_seals", [False, True])
