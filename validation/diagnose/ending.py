@@ -118,9 +118,10 @@ def _at_its_end(problem: Problem, fit: Fit) -> Fit:
 def beside(found: Refitted, other: Refitted, base: Fit) -> Refitted:
     """The same about Monte Carlo at another effect's fit, where that has its own: about one run both have one noise.
 
-    Of two runs chi2 differs by some 20. What has Monte Carlo of its own stays there: exits that land at another
-    distance than the anchor's have noise that does not cancel, 500 and more of chi2 at 7 um. An effect that the twin
-    cannot represent stays where its line begins.
+    Of two runs chi2 differs by some 20. What loses more than 30 stays where it is: the other's model is another one
+    there, where layers lie the other way round by 1,700. What has Monte Carlo of its own stays there, too: exits that
+    land at another distance than the anchor's have noise that does not cancel, 500 and more of chi2 at 7 um. An
+    effect that the twin cannot represent stays where its line begins.
     """
     fit, theirs = found.fit, None if other.fit is None else other.fit.problem.anchor
     smooth = is_smooth(found.candidate.effect) and is_smooth(other.candidate.effect)
@@ -128,7 +129,8 @@ def beside(found: Refitted, other: Refitted, base: Fit) -> Refitted:
         return found
     if theirs == base.problem.anchor or fit.problem.anchor != base.problem.anchor:
         return found
-    return with_fit(found, refitted(replace(fit.problem, anchor=theirs), fit.values, STEPS))
+    there = refitted(replace(fit.problem, anchor=theirs), fit.values, STEPS)
+    return found if total_chi2(there) > found.chi2 + OF_TWO_RUNS else with_fit(found, there)
 
 
 def is_stuck(found: Refitted, base: Fit) -> bool:

@@ -404,6 +404,8 @@ def test_what_has_strayed_is_fitted_about_its_own_monte_carlo_and_rivals_beside_
     assert moved.fit.problem.anchor == about
     assert moved.chi2 == pytest.approx(ended.chi2, abs=0.5)
     assert beside(ripple, ripple, base) is ripple
+    better = replace(ripple, chi2=ended.chi2 - 31.0)  # about the first one: it loses more than two runs differ by
+    assert beside(better, ended, base) is better
     assert beside(ended, replace(moved, fit=replace(moved.fit, problem=strayed.fit.problem)), base) is ended
 
 
