@@ -26,14 +26,14 @@ from luxloop.audit import Compared, Place
 from luxloop.campaign import Action, AgentRecord, Move, Plan, Step
 from luxloop.design import Design
 from luxloop.journal.reader import RunJournal
-from luxloop.journal.topics import ENDED
+from luxloop.journal.topics import ENDED, VALIDATION
 from luxloop.model import flat
 
 EXACT = ("episode", "greedy", "updates")
 REAL = ("epsilon", "q", "loss")
 OTHER_MACHINE = 1e-3
 """Relative: how far Q and loss may be off where packages or processor are others; float32 rounds by 6e-8."""
-NEEDED, VALIDATION = ("plan.json", "campaign.json"), "validation"
+NEEDED = ("plan.json", "campaign.json")
 RESULT = ("reason", "steps", "evaluations", "episodes", "start", "best", "without_dbr", "finalists")
 """Of what was found: all that no clock decides."""
 TIME = "time:"

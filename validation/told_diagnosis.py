@@ -11,7 +11,7 @@ from validation.told import table
 
 Document = Mapping[str, Any]
 
-SCORES, CANDIDATES, NAMED, MOST_NAMES, MOST_HELD = 8, 8, 6, 8, 3
+SCORES, CANDIDATES, NAMED, MOST_NAMES = 8, 8, 6, 8
 LONGEST = 118
 """Characters of a line of a diff: values of many chips are long."""
 
@@ -22,7 +22,7 @@ def diagnosis(document: Document) -> Iterator[str]:
     found = document["structure"]
     chance = "< 1e-9" if document["scores_p"] < 1e-9 else f"{document['scores_p']:.2g}"
     yield f"Structure: p {found['p_text']}; the {document['known']} known effects: p {chance}."
-    yield from (one["words"] for one in document["held"][:MOST_HELD])
+    yield from (one["words"] for one in document["held"])
     if document["effects"]:
         yield ""
         heads = ("effect", "size", "chi2 drop", "explains", "held-out error", "ln evidence", "p left", "alike")

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from luxloop.errors import InputError
+from luxloop.journal.topics import VALIDATION
 from luxloop.run_folders import find_run
 from luxloop.settings import Settings, load_settings
 
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
     from env_controller.audit.replay import Replay
 
 VERIFY, RE_EXECUTE, PLAY = 1, 4, 5
-VALIDATION = "validation"
 NAMES = {1: "verify", 2: "re-derive", 3: "re-decide", 4: "re-execute", 5: "play back"}
 COLOURS = {"identical": "green", "within tolerance": "green", "differs": "red", "not comparable": "yellow"}
 WIDTH = 100

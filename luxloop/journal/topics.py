@@ -84,6 +84,8 @@ class Checkpoint(Words):
 
 
 CHAIN = "/chain"
+VALIDATION = "validation"
+"""The kind of runs that compare a model with measurements: nobody designs in them."""
 ENDED, STOPPED = "ended: ", "stopped: "
 """How the log's last line of a run begins: nothing was left to do; it may be gone on with."""
 TOPICS: dict[str, type[Words] | str] = {

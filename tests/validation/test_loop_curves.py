@@ -132,3 +132,4 @@ def test_the_comparison_is_replayed(place: tuple[Settings, Path], level: str, ro
     assert replayed["counts"]["differs"] == 0
     assert replayed["compared"][row] == {"within tolerance" if level == "2" else "identical": 1}
     assert replayed["exit"] == 0
+    assert "proposal" not in replayed["compared"]  # nobody designs here

@@ -16,6 +16,7 @@ from viewer.look import GREY, ORANGE
 
 COMMAND = "luxloop diagnose --model model.toml --page diagnosis.html"
 SENTENCE = "edge_walls explains 97 +- 2 %: reflectance 0.28 +- 0.01."
+HELD = "But films.a.layers.0.thickness_nm is held at 28.76."
 HOSTILE = "<script>alert(1)</script> & more"
 SECTIONS = ["effects", "images", "where", "scores", "parameters", "confounding", "next", "provenance"]
 BEGINNINGS = {".png": b"\x89PNG", ".pdf": b"%PDF", ".svg": b"<?xml"}
@@ -67,7 +68,7 @@ def diagnosis(**changes: Any) -> dict[str, Any]:
                    "centre_px": [5.5, 5.5]}],
         "parameters": [{"path": "environment.receiver.reflectance", "value": 0.41, "error": 0.006, "at_limit": True,
                         "prior_mean": 0.35, "prior_sd": 0.05, "with": 0.352, "with_error": 0.004}],
-        "seed": 1, "versions": {"luxloop": "0.1.0"}, "not_tested": [],
+        "seed": 1, "versions": {"luxloop": "0.1.0"}, "not_tested": [], "held": [{"words": HELD}],
     } | changes  # fmt: skip
 
 
@@ -118,9 +119,9 @@ def test_a_page_is_whole_and_loads_nothing(whole: tuple[Parsed, str]) -> None:
 
 
 def test_the_verdict_stands_first(whole: tuple[Parsed, str]) -> None:
-    """The sentence before every section, as the lead of the page."""
+    """The sentence before every section, as the lead of the page; numbers that are held follow at once."""
     assert f'<p class="lead">{SENTENCE}</p>' in whole[1]
-    assert whole[1].index(SENTENCE) < whole[1].index("<nav>")
+    assert whole[1].index(SENTENCE) < whole[1].index(HELD) < whole[1].index("<nav>")
 
 
 def test_the_tables_hold_the_numbers_of_the_document(whole: tuple[Parsed, str]) -> None:

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from importlib.metadata import entry_points
+from itertools import product
 from pathlib import Path
 
 from luxloop.errors import InputError
@@ -68,15 +69,17 @@ def check(path: str | Path) -> list[Finding]:
 
 def _of_films(manifest: Manifest) -> Iterator[Finding]:
     """Materials of films that no worker has a table of; the one who has the tables says so."""
+    tables = [point.load() for point in entry_points(group="luxloop.materials")] if manifest.films else []
     for film in manifest.films:
         layers = {f"layers.{number}.material": layer.material for number, layer in enumerate(film.layers)}
-        for field, name in {"incident": film.incident, "exit": film.exit, **layers}.items():
-            for tables in entry_points(group="luxloop.materials") if name is not None else ():
-                try:
-                    tables.load()(name)
-                except InputError as error:
-                    where = f'{MANIFEST}: films["{film.id}"].{field}'
-                    yield _finding(InputError(where, error.value, error.allowed, error.mend))
+        named = {"incident": film.incident, "exit": film.exit, **layers}
+        for (field, name), known in product(named.items(), tables):
+            try:
+                if name is not None:
+                    known(name)
+            except InputError as error:
+                where = f'{MANIFEST}: films["{film.id}"].{field}'
+                yield _finding(InputError(where, error.value, error.allowed, error.mend))
 
 
 def _of_files(folder: Path, manifest: Manifest) -> Iterator[Finding]:

@@ -28,6 +28,8 @@ AS_MUCH = 0.8
 """Of the best effect's drop of chi2: what another value must bring to be told."""
 LEAST_DROP = 25.0
 """Where no effect brings anything: five standard deviations."""
+MOST = 3
+"""Of a film with many layers each thickness may do."""
 IMITATED = 0.01
 """Of a column, that what is fitted leaves of it: below, that number is as good as fitted."""
 
@@ -59,9 +61,10 @@ class Held:
 
 
 def held_alike(fit: Fit, predictor: Predictor, best_drop: float) -> list[Held]:
-    """The numbers of films that would lower chi2 about as much as the best effect, the most first."""
+    """The few numbers of films that would lower chi2 about as much as the best effect, the most first."""
     least = max(AS_MUCH * best_drop, LEAST_DROP)
-    return sorted((one for one in _held(fit, predictor) if one.chi2_drop > least), key=lambda one: -one.chi2_drop)
+    alike = [one for one in _held(fit, predictor) if one.chi2_drop > least]
+    return sorted(alike, key=lambda one: -one.chi2_drop)[:MOST]
 
 
 def _held(fit: Fit, predictor: Predictor) -> Iterator[Held]:

@@ -52,3 +52,11 @@ def test_a_place_that_cannot_be_a_folder(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("mine")
     with pytest.raises(InputError, match="a folder that can be written"):
         alone(tmp_path / "file", "make").__enter__()
+
+
+def test_who_is_interrupted_is_told_how_it_goes_on(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """And the folder is free."""
+    with pytest.raises(KeyboardInterrupt), alone(tmp_path / "sets", "make"):
+        raise KeyboardInterrupt
+    assert "blind make interrupted; the same command goes on" in capsys.readouterr().err
+    refuse_busy(tmp_path / "sets")

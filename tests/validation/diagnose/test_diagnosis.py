@@ -320,10 +320,13 @@ def test_what_a_dropped_round_would_have_asked_for_is_not_told() -> None:
     assert Diagnosis((named,), 6).proposals == ()
     assert Diagnosis((named, asking), 6).proposals == (ANOTHER,)
     assert Diagnosis((asking, named), 6).proposals == (ANOTHER,)
-    facts = {"model": {"file": "model.toml"}, "solver": {"method": "anchored"}, "not_tested": [], "held": []}
+    held = "But films.a.layers.0.thickness_nm is held at 28.76."
+    facts = {"model": {"file": "model.toml"}, "solver": {"method": "anchored"}, "not_tested": []}
+    facts |= {"held": [{"words": held}]}
     adding = "luxloop add stripes puts it into model.toml."
     for steps, adds, asks in (((named,), 1, False), ((named, asking), 1, True), ((asking,), 0, True)):
         lines = list(told_diagnosis.diagnosis(document(Diagnosis(steps, 6), 1) | facts))
+        assert lines[2] == held  # under the verdict
         assert (lines.count(adding), any(ANOTHER.words in line for line in lines)) == (adds, asks)
 
 

@@ -25,6 +25,24 @@ def one(name: str, drop: float, anchor: str, gap: float = 0.0, left: float = 20.
     )
 
 
+def tried_with(monkeypatch: pytest.MonkeyPatch, finished: Any, beside: Any, refits: list[Any]) -> Tried:
+    """The short list of a truth and its rival, whose ends these functions make up."""
+    monkeypatch.setattr(tried, "finished", finished)
+    monkeypatch.setattr(tried, "beside", beside)
+    monkeypatch.setattr(tried, "as_fitted", lambda _, score, __: score)
+    monkeypatch.setattr(tried, "columns_of", lambda *_: None)
+    monkeypatch.setattr(tried, "is_smooth", lambda _: True)
+    monkeypatch.setattr(tried, "_explanation", lambda _, __, found, *___: found)
+    ground: Any = SimpleNamespace(
+        fit=SimpleNamespace(problem=SimpleNamespace(anchor=FIRST, predictor=None, predict_curves=None))
+    )
+    short: list[Any] = [
+        SimpleNamespace(name=name, best=SimpleNamespace(candidate=None)) for name in ("truth", "rival")
+    ]
+    projected: Any = SimpleNamespace(own=lambda _: None)
+    return Tried(ground, projected, {}, short, refits, list[Any](refits))
+
+
 def never(*_: Any) -> Any:
     """There is no group."""
     raise AssertionError
@@ -49,21 +67,8 @@ def test_what_ended_about_the_first_monte_carlo_is_compared_about_its_rivals(
         asked.append(f"{found.name} beside {other.name}")
         return found
 
-    monkeypatch.setattr(tried, "finished", finished)
-    monkeypatch.setattr(tried, "beside", beside)
-    monkeypatch.setattr(tried, "as_fitted", lambda _, score, __: score)
-    monkeypatch.setattr(tried, "columns_of", lambda *_: None)
-    monkeypatch.setattr(tried, "is_smooth", lambda _: True)
-    monkeypatch.setattr(tried, "_explanation", lambda _, __, found, *___: found)
-    ground: Any = SimpleNamespace(
-        fit=SimpleNamespace(problem=SimpleNamespace(anchor=FIRST, predictor=None, predict_curves=None))
-    )
-    short: list[Any] = [
-        SimpleNamespace(name=name, best=SimpleNamespace(candidate=None)) for name in ("truth", "rival")
-    ]
     refits = [one("truth", 100.0, FIRST), one("rival", 95.0, FIRST)]
-    projected: Any = SimpleNamespace(own=lambda _: None)
-    list_of = Tried(ground, projected, {}, short, refits, list[Any](refits))
+    list_of = tried_with(monkeypatch, finished, beside, refits)
     list_of.finish(lambda *_: None)
     list_of.look_into_group(never, never)
     assert asked == ["rival beside truth", *again]
@@ -87,20 +92,8 @@ def test_what_looks_like_the_likeliest_is_fitted_though_it_gained_less(
         asked.append(f"{found.name} beside {other.name}")
         return one(found.name, 110.0, OWN, left=left)
 
-    monkeypatch.setattr(tried, "finished", finished)
-    monkeypatch.setattr(tried, "beside", beside)
-    monkeypatch.setattr(tried, "as_fitted", lambda _, score, __: score)
-    monkeypatch.setattr(tried, "columns_of", lambda *_: None)
-    monkeypatch.setattr(tried, "is_smooth", lambda _: True)
-    monkeypatch.setattr(tried, "_explanation", lambda _, __, found, *___: found)
-    ground: Any = SimpleNamespace(
-        fit=SimpleNamespace(problem=SimpleNamespace(anchor=FIRST, predictor=None, predict_curves=None))
-    )
-    short: list[Any] = [
-        SimpleNamespace(name=name, best=SimpleNamespace(candidate=None)) for name in ("truth", "rival")
-    ]
     refits = [one("truth", 103.0, FIRST, left=left), one("rival", 30.0, FIRST, left=left)]
-    Tried(ground, SimpleNamespace(own=lambda _: None), {}, short, refits, list[Any](refits)).finish(lambda *_: None)
+    tried_with(monkeypatch, finished, beside, refits).finish(lambda *_: None)
     assert asked == asked_for
 
 
