@@ -32,7 +32,7 @@ from validation.fit.descent import crossed
 from validation.fit.least_squares import Step, reduce
 from validation.fit.model_noise import noise_shares
 from validation.fit.parameters import Unknowns
-from validation.fit.result import WANTED_NOISE, histories_for
+from validation.fit.result import MOST_MODEL_NOISE, WANTED_NOISE, histories_for
 from validation.prediction import Anchored, Pose, View
 
 
@@ -244,14 +244,14 @@ def test_the_last_anchor_is_one_of_three_where_the_fit_is_near(monkeypatch, move
 
 def test_an_anchor_that_has_enough_is_not_made_anew():
     """Each sample is counted by its own histories, and a few more are not worth a run."""
-    noise = {SINGLE.id: _waves(SINGLE, 0.0004), ARRAY.id: _waves(ARRAY, 0.00085)}
+    noise = {SINGLE.id: _waves(SINGLE, 0.00013), ARRAY.id: _waves(ARRAY, 0.00028)}
     there, predictor = Anchored(MODEL, 24_000, enough=((SINGLE.id, 1000),)), Spots(noise)
     found = fit(MODEL, two_images(), predictor, anchor_at=lambda _: there, most_histories=10**6)
     assert all(share < 1.09 * WANTED_NOISE for share in noise_shares(found.whitening))
     assert {(one.histories, one.enough) for one in predictor.anchors if one is not None and one.histories} == {
         (there.histories, there.enough)
     }
-    noisier = Spots({**noise, SINGLE.id: _waves(SINGLE, 0.002)})
+    noisier = Spots({**noise, SINGLE.id: _waves(SINGLE, 0.00066)})
     found = fit(MODEL, two_images(), noisier, anchor_at=lambda _: there, most_histories=10**6)
     single = noise_shares(found.whitening)[0]
     asked = found.problem.anchor
@@ -289,7 +289,7 @@ def test_a_fit_that_monte_carlo_noise_dominates_is_not_trusted():
         image = two_images()[0]
         noise = {"single": share * np.sqrt(image.variance_dn2(image.signal_dn))[None] / 700.0}
         found = fit(MODEL, two_images(), Spots(noise), anchor_at=lambda model: Anchored(model, 1000))
-        needed = max(histories_for(WANTED_NOISE, 1000, one) for one in noise_shares(found.whitening))
+        needed = max(histories_for(MOST_MODEL_NOISE / 2, 1000, one) for one in noise_shares(found.whitening))
         told = f"about {needed:,} histories for each sample would do"
         assert any(told in reason for reason in found.distrust) == words
         assert found.trusted != words

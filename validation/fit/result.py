@@ -27,7 +27,8 @@ LEAST_GAP = 0.1
 """Of chi2: less to be gained is not why a fit stopped."""
 UNMENDED = "free less, or look for what the model lacks (luxloop where, luxloop diagnose)"
 MOST_HISTORIES = 10**9  # of a sample, that a request may ask for
-WANTED_NOISE = 0.3  # a tenth of the camera's variance: it then hardly adds to errors
+WANTED_NOISE = 0.1
+"""Of the camera's, by pixel: along what is smooth, as most effects are, there is more of it (decision 59)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,15 +188,15 @@ def histories_for(share: float, histories: int, now: float) -> int:
     return int(np.ceil(needed / digit) * digit)
 
 
-def wanted_histories(problem: Problem, white: Whitening) -> dict[str, int]:
-    """Histories that bring the noise of each sample, by its id, down to `WANTED_NOISE`; {} where there are none."""
+def wanted_histories(problem: Problem, white: Whitening, wanted_share: float = WANTED_NOISE) -> dict[str, int]:
+    """Histories that bring the noise of each sample, by its id, down to a share; {} where there are none."""
     anchor = problem.anchor
     if anchor is None or not anchor.histories:
         return {}
     found: dict[str, int] = {}
     for image, share in zip(problem.images, noise_shares(white), strict=True):
         sample = image.sample.id
-        wanted = histories_for(WANTED_NOISE, anchor.histories_of(sample), share)
+        wanted = histories_for(wanted_share, anchor.histories_of(sample), share)
         found[sample] = max(wanted, found.get(sample, 0))
     return found
 
@@ -204,7 +205,7 @@ def _of_noise(problem: Problem, white: Whitening, share: float) -> list[str]:
     """Why a fit about a noisy anchor may not be trusted."""
     if share <= MOST_MODEL_NOISE or problem.anchor is None:
         return []
-    needed = max(wanted_histories(problem, white).values())
+    needed = max(wanted_histories(problem, white, MOST_MODEL_NOISE / 2.0).values())
     return [
         f"the Monte Carlo's own noise is {share:.2f} of the camera's, above {MOST_MODEL_NOISE:g}: about"
         f" {needed:,} histories for each sample would do"

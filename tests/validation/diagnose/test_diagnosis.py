@@ -77,18 +77,18 @@ def test_what_noise_of_monte_carlo_hides_is_said_with_the_histories_that_show_it
     def words(share: float, most: int = 0) -> str:
         images = data(None, 1)
         light = {one.sample.id: np.sqrt(one.variance_dn2(one.signal_dn))[None] / GAIN for one in images}
-        noise = {name: (share if name == ARRAY.id else 0.1) * one for name, one in light.items()}
+        noise = {name: (share if name == ARRAY.id else 0.03) * one for name, one in light.items()}
         here = fit(
             MODEL, images, Spots(noise), anchor_at=lambda model: Anchored(model, 1_000_000), most_histories=most
         )
         return more_in_words(here)
 
-    assert words(0.2) == ""
-    assert words(0.6).endswith("--most-histories 4100000 would show smaller ones.")
-    assert words(0.6, 2_000_000).endswith(
-        "--most-histories 8200000 would show smaller ones."
+    assert words(0.07) == ""
+    assert words(0.2).endswith("--most-histories 4000000 would show smaller ones.")
+    assert words(0.2, 2_000_000).endswith(
+        "--most-histories 8000000 would show smaller ones."
     )  # it falls only on paper
-    assert words(0.31) == ""
+    assert words(0.103) == ""
     assert words(30.0).endswith("--most-histories 1000000000 would show smaller ones.")
     assert more_in_words(fit(MODEL, data(None, 1), Spots())) == ""
 
