@@ -14,14 +14,13 @@ from scipy.stats import multivariate_normal
 from luxloop.effect import AppliedEffect, EffectParameter
 from luxloop.model import Fit as Limits
 from luxloop.model import Model
-from tests.validation.analytic import ARRAY, HALO, MODEL, PATHS, Spots
+from tests.validation.analytic import HALO, MODEL, PATHS
 from tests.validation.diagnose import made_up
 from tests.validation.diagnose.made_up import (
     ANOTHER,
     CATALOGUE,
     CHIPS,
     FLIPPED,
-    GAIN,
     RISE,
     Affected,
     data,
@@ -44,7 +43,7 @@ from validation.diagnose.explanation import LEVEL
 from validation.diagnose.frozen import slopes_of
 from validation.diagnose.groups import joined
 from validation.diagnose.held_out import same_rows
-from validation.diagnose.in_words import FEW, limits, limits_in_words, more_in_words
+from validation.diagnose.in_words import limits
 from validation.diagnose.ladder import Rung
 from validation.diagnose.refit import posed, refit
 from validation.diagnose.refitted import with_fit
@@ -53,7 +52,6 @@ from validation.diagnose.score import Projected, scores
 from validation.diagnose.verdict import decided
 from validation.fit import NOT_CONVERGED, Fit, fit, refitted
 from validation.fit.parameters import free_paths
-from validation.prediction import Anchored
 from validation.redeciding import explanation_of, verdict_of
 
 
@@ -68,36 +66,6 @@ def test_nothing_hidden_is_nothing_visible() -> None:
     ripple = found.steps[0].scores.of("ripple")
     assert ripple is not None
     assert 4.0 < by_name["ripple"] / ripple.best.error < 6.0
-
-
-def test_what_noise_of_monte_carlo_hides_is_said_with_the_histories_that_show_it() -> None:
-    """As the noisiest sample asks for, counted from its own; what a command takes at most; where it is little more
-    than there are, or there is no Monte Carlo, nothing."""
-
-    def words(share: float, most: int = 0) -> str:
-        images = data(None, 1)
-        light = {one.sample.id: np.sqrt(one.variance_dn2(one.signal_dn))[None] / GAIN for one in images}
-        noise = {name: (share if name == ARRAY.id else 0.03) * one for name, one in light.items()}
-        here = fit(
-            MODEL, images, Spots(noise), anchor_at=lambda model: Anchored(model, 1_000_000), most_histories=most
-        )
-        return more_in_words(here)
-
-    assert words(0.07) == ""
-    assert words(0.2).endswith("--most-histories 4000000 would show smaller ones.")
-    assert words(0.2, 2_000_000).endswith(
-        "--most-histories 8000000 would show smaller ones."
-    )  # it falls only on paper
-    assert words(0.103) == ""
-    assert words(30.0).endswith("--most-histories 1000000000 would show smaller ones.")
-    assert more_in_words(fit(MODEL, data(None, 1), Spots())) == ""
-
-
-def test_what_is_above_its_limit_is_seen() -> None:
-    """The limit promises 90 % power: of ten draws at that size at least seven are visible."""
-    by_name = {name: value for name, _, value, _ in limits(diagnosis(data(None, 1)).steps[0].scores)}
-    words = [diagnosis(data("ripple", seed, by_name["ripple"])).verdict.word for seed in range(10)]
-    assert sum(word != "nothing_visible" for word in words) >= 7
 
 
 def test_one_effect_is_named_with_its_size() -> None:
@@ -336,14 +304,6 @@ def test_an_effect_of_the_model_is_not_tried_again() -> None:
     found = diagnosis(data("stripes", 2, 0.05, 300.0), MODEL.model_copy(update={"effects": (there,)}))
     assert {one.name for one in found.steps[0].scores.effects} == {"ripple", "ripple_like", "fog"}
     assert found.verdict.word == "nothing_visible"
-
-
-def test_a_sentence_names_a_few_limits_and_counts_the_others() -> None:
-    """All of them stand in the table."""
-    scores = diagnosis(data(None, 1)).steps[0].scores
-    words = limits_in_words(scores, LEVEL)
-    assert len(words) == FEW + 1
-    assert words[-1] == f"{len(CATALOGUE) - FEW} more in the table"
 
 
 def test_the_evidence_of_a_group_is_integrated_over_its_spread() -> None:
