@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
-from containers.ray_tracing.twin.noise import MOST_FUNCTIONS, NoiseBasis, most_functions, noise_columns
+from containers.ray_tracing.twin.noise import MOST_FUNCTIONS, NoiseBasis, most_functions, noise_columns, solved
 
 Real = NDArray[np.float64]
 REACH_UM, HEIGHT_UM = 500.0, 160.0
@@ -38,6 +39,24 @@ def drawn(of: NoiseBasis, groups: int, seed: int) -> tuple[Real, Real]:
     amplitude = rng.standard_normal((groups, len(variance))) * np.sqrt(variance)
     orthogonal = np.linalg.solve(of.factor, of.functions)
     return (amplitude @ orthogonal).reshape(groups, 24, 24), variance
+
+
+@pytest.mark.parametrize("count", [1, 63, 64, 65, 200])
+def test_a_triangle_is_solved_as_by_a_general_solver(count: int) -> None:
+    """By blocks, of any number of functions; what is given stays as it is."""
+    rng = np.random.default_rng(count)
+    factor, right = np.tril(rng.normal(size=(count, count)), -1) / count + np.eye(count), rng.normal(size=(count, 7))
+    given = right.copy()
+    np.testing.assert_allclose(solved(factor, right), np.linalg.solve(factor, right), rtol=1e-12, atol=1e-12)
+    np.testing.assert_array_equal(right, given)
+
+
+def test_functions_that_say_nothing_of_their_own_are_left_out_and_the_others_are_orthogonal() -> None:
+    """More functions than 24 x 24 pixels can tell apart: those told are whole, and orthogonal under the weight."""
+    of = basis(symmetric=False, most=1000)
+    assert 100 < len(of.told) < 577
+    orthogonal = solved(of.factor, of.functions) * np.sqrt(of.weight)
+    np.testing.assert_allclose(orthogonal @ orthogonal.T, np.eye(len(of.told)), atol=1e-9)
 
 
 def test_columns_have_the_variance_of_the_noise() -> None:

@@ -9,9 +9,10 @@ shared among the four bins around it in proportion to its distance, so that it m
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,6 +46,7 @@ from luxloop.errors import InputError
 from luxloop.process import usable_cores
 
 Real = NDArray[np.float64]
+Found = TypeVar("Found")
 
 ARRIVES, SEEN_MORE = range(2)
 """Layers of the bins: light that arrives, and by how much more of it is recorded (`Receiver.response`)."""
@@ -190,15 +192,13 @@ def _sets_of(exits: Exits) -> tuple[tuple[Exits, ...], list[Real]]:
     return sets, [1.0 + added, *(added for _ in births.others)]
 
 
-def in_parallel(work: Callable[[int], None], numbers: range, threads: int | None) -> None:
-    """Call `work` with each number, on several threads at once; all that may be used by default."""
+def in_parallel(work: Callable[[int], Found], numbers: Sequence[int], threads: int | None) -> list[Found]:
+    """What `work` makes of each number, on several threads at once; all that may be used by default."""
     threads = threads or usable_cores()
     if threads == 1:
-        for number in numbers:
-            work(number)
-        return
+        return [work(number) for number in numbers]
     with ThreadPoolExecutor(threads) as pool:
-        list(pool.map(work, numbers))
+        return list(pool.map(work, numbers))
 
 
 def nowhere() -> Sinks:

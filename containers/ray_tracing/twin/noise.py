@@ -35,6 +35,7 @@ POWERS = (0, 1, 2)
 """Of the square of the distance from the centre, by which the strength of noise changes beside the light's root."""
 STRENGTH = (0.25, 4.0)
 """At least and at most, of what the functions alone say."""
+ROWS_AT_ONCE = 64
 FAINT = 1e-3
 """Of the brightest pixel: where less arrives, noise is taken as there."""
 
@@ -43,7 +44,8 @@ FAINT = 1e-3
 class NoiseBasis:
     """The functions at the pixels of one image, and the factor that makes them orthogonal.
 
-    functions : (function, pixel). factor : (function, function), lower triangle of the weighed normal matrix.
+    functions : (function, pixel). factor : (function, function), lower triangle of the weighed normal matrix; of an
+        image whose functions are `like` another's, that of the other.
     weight : (pixel,). told : their numbers among all.
     outwards : (term, pixel), powers of the distance from the module's centre.
     """
@@ -82,19 +84,20 @@ class NoiseBasis:
         period_um = reach_um + BEYOND * height_um
         functions = _functions(x_um.ravel(), y_um.ravel(), period_um, height_um, symmetric, most)
         if like is None:
-            left = np.abs(np.diagonal(_triangle(functions)))  # of a function, beside those before it
+            triangle = _triangle(functions.T)
+            left = np.abs(np.diagonal(triangle))  # of a function, beside those before it
             told = np.flatnonzero(left > ALIKE * np.linalg.norm(functions, axis=1)[: left.size])
+            factor = (triangle if told.size == len(functions) else _triangle(triangle[:, told])).T
         else:
-            told = like.told
-        functions = functions[told]
+            told, factor = like.told, like.factor
         outwards = np.array([((x_um**2 + y_um**2).ravel() / reach_um**2) ** power for power in POWERS])
-        return cls(functions * np.sqrt(variance), _triangle(functions).T, 1.0 / variance, told, outwards)
+        return cls(functions[told] * np.sqrt(variance), factor, 1.0 / variance, told, outwards)
 
     def amplitudes(self, images: Real) -> Real:
         """Of images (..., row, column): (..., function) in the orthogonal functions."""
         pixels = images.reshape(*images.shape[:-2], -1)
         right = (pixels * self.weight) @ self.functions.T
-        return np.asarray(np.linalg.solve(self.factor, right.reshape(-1, len(self.factor)).T).T)
+        return solved(self.factor, right.reshape(-1, len(self.factor)).T).T
 
 
 def noise_columns(deviations: Real, basis: NoiseBasis, first: NoiseBasis) -> Real:
@@ -114,7 +117,8 @@ def noise_columns(deviations: Real, basis: NoiseBasis, first: NoiseBasis) -> Rea
     own = (first.amplitudes(deviations) ** 2).sum(axis=0)
     near = np.abs(np.subtract.outer(np.arange(own.size), np.arange(own.size))) <= NEIGHBOURS
     scale = np.sqrt(near @ own / near.sum(axis=1))
-    in_first, wanted = (scale[:, None] * np.linalg.solve(first.factor, one.functions) for one in (first, basis))
+    in_first = scale[:, None] * solved(first.factor, first.functions)
+    wanted = in_first if basis is first else scale[:, None] * solved(first.factor, basis.functions)
     strength = _strength(deviations.reshape(len(deviations), -1), in_first, first.outwards)
     return np.asarray(
         (wanted * np.sqrt(np.clip(strength @ basis.outwards, *STRENGTH))).reshape(-1, *deviations.shape[1:])
@@ -150,9 +154,19 @@ def _functions(x_um: Real, y_um: Real, period_um: float, height_um: float, symme
     return np.array(found)
 
 
-def _triangle(functions: Real) -> Real:
-    """R of the decomposition of functions (function, pixel)."""
-    return np.asarray(np.linalg.qr(functions.T, mode="r"))
+def solved(factor: Real, right: Real) -> Real:
+    """x (function, any) of factor x = right, of a lower triangle; by blocks, so that nearly all of it is products."""
+    found = np.array(right)
+    for start in range(0, len(factor), ROWS_AT_ONCE):
+        rows = slice(start, start + ROWS_AT_ONCE)
+        found[rows] -= factor[rows, :start] @ found[:start]
+        found[rows] = np.linalg.solve(factor[rows, rows], found[rows])
+    return found
+
+
+def _triangle(columns: Real) -> Real:
+    """R of the decomposition of columns (any, function)."""
+    return np.asarray(np.linalg.qr(columns, mode="r"))
 
 
 def _waves(u_um: Real, most: int, period_um: float, *, sines: bool) -> Real:

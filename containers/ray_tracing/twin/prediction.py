@@ -215,9 +215,11 @@ class Anchor:
         replicas = _replicas([field.grid for field in fields], even, report)
         mean, groups = replicas.mean(axis=0), len(replicas)
         twin = twin_images(even, supply, report=report, **options)
-        first, bases = bases_of(even, fields, twin)  # light without the noise that is to be told
+        threads = options.get("threads")
+        first, bases = bases_of(even, fields, twin, threads)  # light without the noise that is to be told
         deviations = (replicas - mean) / np.sqrt(groups * (groups - 1.0))
-        columns = [noise_columns(deviations[:, i], bases[n], bases[i]) for n, i in enumerate(first)]
+        told = [(deviations[:, i], bases[n], bases[i]) for n, i in enumerate(first)]
+        columns = in_parallel(lambda n: noise_columns(*told[n]), range(len(told)), threads)
         self._noise = np.zeros((max(map(len, columns)), *self._correction.shape), np.float32)
         for number, one in enumerate(columns):
             self._noise[: len(one), number] = one
@@ -255,7 +257,9 @@ class Anchor:
         return int(self._noise.nbytes + self._correction.nbytes)
 
 
-def bases_of(shots: Sequence[Shot], fields: Sequence[Field], light: Real) -> tuple[list[int], list[NoiseBasis]]:
+def bases_of(
+    shots: Sequence[Shot], fields: Sequence[Field], light: Real, threads: int | None = None
+) -> tuple[list[int], list[NoiseBasis]]:
     """The smooth functions of each shot, alike for all shots of one field, and the number of that shot of its field
     that sees farthest, whose functions are taken. `light` (shot, row, column)."""
     places = []
@@ -271,7 +275,8 @@ def bases_of(shots: Sequence[Shot], fields: Sequence[Field], light: Real) -> tup
         of = light[number], reach[widest[number]], scene.height_um
         return NoiseBasis.at(x, y, *of, symmetric=scene.symmetric, most=most, like=like)
 
-    known = {number: basis(number) for number in set(widest)}
+    numbers = sorted(set(widest))
+    known = dict(zip(numbers, in_parallel(basis, numbers, threads), strict=True))
     return widest, [known.get(number) or basis(number, known[widest[number]]) for number in range(len(shots))]
 
 
