@@ -22,6 +22,7 @@ from env_controller.outcomes import Results, failure_of, other_release
 from env_controller.roster import GONE_S, Roster
 from env_controller.scheduler import Scheduler
 from env_controller.soundness import sound
+from env_controller.waiting import group_of
 from luxloop import __version__
 from luxloop import campaign as c
 from luxloop import messages as m
@@ -196,7 +197,10 @@ class Dispatcher:
         wanted = self._wanted[task.id]
         wanted.asked_s = now
         wanted.waiting.append(Waiting(now + HOLD_S, submit.asker, asked))
-        wish = e.Submitted(now, task.id, task.kind, submit.patience_s, submit.limit_s, share=submit.asker)
+        group = group_of(task)
+        wish = e.Submitted(
+            now, task.id, task.kind, submit.patience_s, submit.limit_s, share=submit.asker, group=group
+        )
         self._perform(self.core.handle(wish))
 
     def _want(self, want: Want) -> None:

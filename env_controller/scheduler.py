@@ -22,6 +22,8 @@ from env_controller.hedging import Durations
 from env_controller.waiting import Queue
 
 STORIES = 1000  # finished tasks whose story is kept
+GROUPS = 8  # of a worker that are remembered: about what it may still hold of them
+BETWEEN_S = 0.25  # a worker that has delivered asks again within milliseconds; so long it is waited for
 
 
 @dataclass
@@ -60,7 +62,8 @@ class WorkerRecord:
     slots: int
     heard_s: float
     finished: int = 0
-    group: str = ""  # of its last task
+    groups: list[str] = field(default_factory=list)  # of its last tasks, the latest first; "": of none
+    delivered_s: float = -1e9
 
 
 class Scheduler:
@@ -129,7 +132,7 @@ class Scheduler:
         self.tasks[event.task_id] = task
         self._tell(task, event.at_s, "submitted")
         self._make_ready(task)
-        return self._match(event.kind, event.at_s)
+        return [] if self._comes_back(task, event.at_s) else self._match(event.kind, event.at_s)
 
     def _withdrawn(self, event: e.Withdrawn) -> list[e.Command]:
         task = self.tasks.get(event.task_id)
@@ -200,7 +203,8 @@ class Scheduler:
         if event.verdict == "crashed":
             return [receive, *self._requeue(lease, event.at_s, f"crashed: {event.reason}", code="crashed")]
         task = self.tasks[event.task_id]
-        self.workers[event.worker].finished += 1
+        worker = self.workers[event.worker]
+        worker.finished, worker.delivered_s = worker.finished + 1, event.at_s
         self._durations.note(task.kind, event.at_s - lease.granted_s)
         return [receive, *self._end(task, event.at_s, event.verdict, winner=lease)]
 
@@ -240,29 +244,56 @@ class Scheduler:
         return [command for task in lost for command in self._end(task, at_s, "no_worker")]
 
     def _match(self, kind: str, at_s: float) -> list[e.Command]:
-        """Give ready tasks of a kind to the polls that have waited longest; where none is ready, slow ones."""
+        """Give ready tasks of a kind to the polls that have waited longest, a task of a group rather to a worker that
+        waits, too, and has had that group; where none is ready, slow ones."""
         commands: list[e.Command] = []
-        for poll, name in list(self.polls.items()):
-            worker = self.workers[name]
-            if worker.kind != kind or at_s - worker.heard_s > self.silence_s:
-                continue
-            if len(self.held_by(name)) >= worker.slots:
-                del self.polls[poll]
-                commands.append(e.Release(poll))
-                continue
-            task = self._next(worker) or self._slow(worker, at_s)
-            if task is None:
-                continue
-            del self.polls[poll]
-            commands.append(self._grant(task, worker, poll, at_s))
+        for poll in list(self.polls):
+            while poll in self.polls and self._answers(poll, kind, at_s):
+                worker = self.workers[self.polls[poll]]
+                if len(self.held_by(worker.worker)) >= worker.slots:
+                    del self.polls[poll]
+                    commands.append(e.Release(poll))
+                    break
+                task = self._next(worker)
+                to = self._had(task, poll, at_s) if task else poll
+                task = task or self._slow(worker, at_s)
+                if task is None:
+                    break
+                commands.append(self._grant(task, self.workers[self.polls.pop(to)], to, at_s))
         return commands
+
+    def _answers(self, poll: int, kind: str, at_s: float) -> bool:
+        """Whether a poll is that of a worker of this kind that is not silent."""
+        worker = self.workers[self.polls[poll]]
+        return worker.kind == kind and at_s - worker.heard_s <= self.silence_s
+
+    def _had(self, task: TaskRecord, poll: int, at_s: float) -> int:
+        """Of the polls that could take a task, the one of the worker that had its group last; else the one given."""
+        if not task.group:
+            return poll
+        found, latest = poll, GROUPS
+        for other, name in self.polls.items():
+            worker = self.workers[name]
+            free = self._answers(other, task.kind, at_s) and len(self.held_by(name)) < worker.slots
+            if free and task.group in worker.groups[:latest]:
+                found, latest = other, worker.groups.index(task.group)
+        return found
+
+    def _comes_back(self, task: TaskRecord, at_s: float) -> bool:
+        """Whether the worker that had a task's group has just delivered and not asked yet: whoever waited for its
+        answer may ask us before it does."""
+        return any(
+            task.group and task.group in worker.groups and at_s - worker.delivered_s < BETWEEN_S
+            for name, worker in self.workers.items()
+            if worker.kind == task.kind and name not in self.polls.values() and not self.held_by(name)
+        )
 
     def _next(self, worker: WorkerRecord) -> TaskRecord | None:
         """The task whose turn it is, taken out of its queue."""
         queue = self.ready.get(worker.kind)
         if queue is None:
             return None
-        task = self.tasks[queue.take(worker.group)[0]]
+        task = self.tasks[queue.take(worker.groups[0] if worker.groups else "")[0]]
         self._take_out(task)
         return task
 
@@ -284,7 +315,7 @@ class Scheduler:
 
     def _grant(self, task: TaskRecord, worker: WorkerRecord, poll: int, at_s: float) -> e.Grant:
         task.attempt += 1
-        worker.group = task.group
+        worker.groups = [task.group, *(group for group in worker.groups if group != task.group)][:GROUPS]
         lease = LeaseRecord(task.task_id, worker.worker, task.attempt, at_s)
         if task.task_id in self.leases:
             self.hedges[task.task_id] = lease

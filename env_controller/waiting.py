@@ -5,7 +5,19 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Iterator
 
+from luxloop.messages import Task
+from luxloop.words import sha256_of
+
 LOOK_AHEAD = 8  # tasks of a share among which one of the worker's last group is preferred
+
+
+def group_of(task: Task) -> str:
+    """What a worker computes once for all tasks of a group: the anchor of a prediction; "": nothing is known."""
+    anchor = task.inputs.get("anchor")
+    if not isinstance(anchor, dict):
+        return ""
+    exits = [task.inputs.get(name) for name in ("exit_histories", "exit_seed")]
+    return sha256_of([anchor, exits, anchor.get("shots") or task.inputs.get("shots")])
 
 
 class Queue:

@@ -134,6 +134,23 @@ def test_a_task_goes_round(desk: Desk) -> None:
     assert desk.submit(asker="another").message == submit.message
 
 
+def test_predictions_about_one_anchor_go_to_the_worker_that_has_it(desk: Desk) -> None:
+    """Though another has waited longer."""
+
+    def asked(pairs: float) -> Task:
+        inputs = {"shots": [{"pairs": pairs}], "anchor": {"histories": 1000, "shots": [{"pairs": 5.0}]}}
+        return Task(kind="film", inputs=inputs, version=__version__)
+
+    for worker in ("w1", "w2"):
+        desk.hello(worker)
+        desk.pull(worker)
+    desk.submit(asked(5.0))
+    desk.done("w1", asked(5.0))
+    waits = desk.pull("w1")
+    desk.submit(asked(5.1))
+    assert isinstance(waits.message, Lease)
+
+
 def test_a_fresh_wish_is_computed_again(desk: Desk) -> None:
     """A finished result is not given to one who asks for a fresh computation."""
     desk.hello()

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
 from env_controller import events as e
+from env_controller.scheduler import BETWEEN_S
+from env_controller.waiting import group_of
+from luxloop.messages import Task
 from tests.env_controller.stories import A, B, Story
 
 
@@ -108,6 +113,83 @@ def test_a_worker_is_given_the_film_it_had() -> None:
         order.append(int(grant.task_id[0]))  # type: ignore[attr-defined]
         story.deliver("w1", grant.task_id)  # type: ignore[attr-defined]
     assert order == [0, 2, 9, 1, 3, 4, 5, 6, 7, 8]
+
+
+def test_of_idle_workers_the_one_that_had_the_group_gets_the_task() -> None:
+    """However long another has waited; if that one is busy, any other, and then both have had it."""
+    story = Story(silence_s=60.0)
+    story.join("w1")
+    story.join("w2")
+    story.submit(A, group="anchor")
+    story.poll("w1")
+    story.poll("w2")  # waits from now on
+    story.deliver("w1", A)
+    story.poll("w1")
+    assert story.submit(B, group="anchor") == [e.Grant(story.polls, "w1", B, 1)]
+    third = "c" * 64
+    assert story.submit(third, group="anchor") == [e.Grant(story.polls - 1, "w2", third, 1)]
+    story.deliver("w1", B)
+    story.deliver("w2", third)
+    story.poll("w1")
+    story.poll("w2")
+    assert story.submit("d" * 64, group="another") == [e.Grant(story.polls - 1, "w1", "d" * 64, 1)]
+    story.deliver("w1", "d" * 64)
+    story.poll("w1")
+    assert story.submit("e" * 64, group="anchor") == [
+        e.Grant(story.polls - 1, "w2", "e" * 64, 1)
+    ]  # the last to have it
+
+
+@pytest.mark.parametrize(("after_s", "asks"), [(0.01, True), (0.01, False), (1.0, False)])
+def test_the_worker_that_had_the_group_is_waited_for_between_two_tasks(after_s: float, asks: bool) -> None:  # a case
+    """It has delivered and asks in a moment. If it does not, the next sign of another one gives the task to that."""
+    story = Story(silence_s=60.0)
+    story.join("w1")
+    story.join("w2")
+    story.submit(A, group="anchor")
+    story.poll("w1")
+    story.poll("w2")
+    waits = story.polls
+    story.deliver("w1", A)
+    story.now += after_s
+    submitted = story.submit(B, group="anchor")
+    if after_s > BETWEEN_S:
+        assert submitted == [e.Grant(waits, "w2", B, 1)]
+    elif asks:
+        assert submitted == []
+        assert story.poll("w1") == [e.Grant(story.polls, "w1", B, 1)]
+    else:
+        assert submitted == []
+        assert story.core.handle(e.Beat(story.now, "w2")) == [e.Grant(waits, "w2", B, 1)]
+
+
+def test_a_worker_that_comes_back_has_forgotten_its_groups() -> None:
+    """What it held was in the memory of a process; and a silent one is passed over."""
+    story = Story(silence_s=60.0)
+    story.join("w1")
+    story.join("w2")
+    story.submit(A, group="anchor")
+    story.poll("w1")
+    story.poll("w2")
+    story.deliver("w1", A)
+    story.join("w1")
+    story.poll("w1")
+    assert story.submit(B, group="anchor") == [e.Grant(story.polls - 1, "w2", B, 1)]
+
+
+def test_predictions_about_one_anchor_are_a_group() -> None:
+    """Whatever is asked of them; another anchor, other exits or no anchor are not."""
+
+    def group(**changes: Any) -> str:
+        given = {"shots": ["one"], "columns": [], "anchor": {"histories": 1000, "shots": []}, "exit_seed": "1"}
+        return group_of(Task(kind="ray", inputs=given | changes, version="1"))
+
+    anchored = {"histories": 1000, "shots": ["one"]}
+    assert group() == group(columns=["environment.receiver.reflectance"]) != ""
+    assert group(anchor=anchored) == group(anchor=anchored, shots=["moved"])
+    others = (group(shots=["moved"]), group(anchor={"histories": 2000, "shots": []}), group(exit_seed="2"))
+    assert len({group(), *others}) == 4
+    assert group(anchor=None) == group(anchor="mine") == ""
 
 
 def test_what_is_wanted_ahead_waits_for_all_else_until_it_is_wanted_now() -> None:
