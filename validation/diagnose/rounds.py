@@ -60,7 +60,7 @@ class Diagnosis:
 
     @property
     def verdict(self) -> Verdict:
-        """Of the first round; a second effect that was found besides is told after it."""
+        """Of the first round; a second effect that was found besides is told after it, and what is left with all."""
         first, added, ground = self.steps[0].verdict, self.added, self.steps[0].ground
         only = added[0] if len(added) == 1 else None
         shares = [one.share for one in added] if self.steps[-1].leads_to is not None else []
@@ -68,10 +68,12 @@ class Diagnosis:
         found = concluded(
             first, only, shares, p_left, self.known, lambda: left_in_words(ground, self.steps[0].explanations)
         )
-        if len(added) < 2 or found is not first:
+        if not added or found is not first:
             return found
         further = ", ".join(f"{one.name} ({one.size})" for one in added[1:])
-        return replace(first, sentence=f"{first.sentence} What it leaves is explained by {further}.")
+        explained = f" What it leaves is explained by {further}." if further else ""
+        left = f" Structure is left that nothing named here explains (p {p_left:.2g})." if p_left < LEVEL / 2.0 else ""
+        return replace(first, sentence=f"{first.sentence}{explained}{left}")
 
     @property
     def added(self) -> list[Explanation]:

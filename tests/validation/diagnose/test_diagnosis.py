@@ -212,6 +212,10 @@ def test_what_explains_a_part_and_leaves_the_rest_is_none_of_the_known() -> None
     again = verdict_of(told, [explanation_of(row) for row in told["effects"]])
     assert again is not None
     assert (again.word, again.set) == ("none_of_the_known", ())
+    left = " Structure is left that nothing named here explains (p 0.0001)."
+    assert Diagnosis((leaving(1e-4, 0.9),), 6).verdict.sentence.endswith(left)
+    assert left not in Diagnosis((leaving(0.3, 0.9),), 6).verdict.sentence
+    assert left not in Diagnosis((part, rest), 6).verdict.sentence
     group = replace(part, refits=tuple(replace(one, fit=None) for one in part.refits))  # nothing can follow it
     for stands in ((part, rest), (leaving(1e-4, 0.9),), (leaving(1e-4, 0.57, 0.3),), (leaving(0.3, 0.57),), (group,)):
         assert Diagnosis(stands, 6).verdict.word == step.verdict.word
