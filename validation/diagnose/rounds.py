@@ -71,9 +71,10 @@ class Diagnosis:
         if not added or found is not first:
             return found
         further = ", ".join(f"{one.name} ({one.size})" for one in added[1:])
-        explained = f" What it leaves is explained by {further}." if further else ""
-        left = f" Structure is left that nothing named here explains (p {p_left:.2g})." if p_left < LEVEL / 2.0 else ""
-        return replace(first, sentence=f"{first.sentence}{explained}{left}")
+        sentence = first.sentence + (f" What it leaves is explained by {further}." if further else "")
+        if p_left < LEVEL / 2.0:
+            sentence += f" Structure is left that nothing named here explains (p {p_left:.2g})."
+        return replace(first, sentence=sentence)
 
     @property
     def added(self) -> list[Explanation]:
