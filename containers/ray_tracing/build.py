@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,8 +12,8 @@ from containers.bsdf import Bsdf, Fresnel, GaussianLobe, Lambertian, Mirror, Spe
 from containers.materials import material
 from containers.ray_tracing.packing import node_angles
 from containers.scene import Array, Cell, Chip, Emission, Face, Receiver, Scene
-from containers.thin_film.angles import powers_at
-from containers.thin_film.table import FilmTable, Side
+from containers.thin_film.angles import powers_of_both
+from containers.thin_film.table import FilmTable, Powers, Side
 from luxloop.design import Design
 from luxloop.errors import InputError
 from luxloop.model import Environment, Surface
@@ -96,8 +97,24 @@ def emission_of(environment: Environment) -> Emission:
 
 
 def film_faces(environment: Environment, film: FilmTable) -> Face:
-    """The top face of a chip with a film."""
-    line = _Line(environment, film)
+    """The top face of a chip with a film; the latest are kept, for a fit asks for the same ones again and again."""
+    arrays = (film.wavelength_nm, film.weight, film.n_inside, film.n_outside)
+    chip = (environment.indices, environment.n_gan, environment.peak_nm, environment.spectrum)
+    return _faces(_Top((film.stack, *chip, *(one.tobytes() for one in arrays)), environment, film))
+
+
+@dataclass(frozen=True)
+class _Top:
+    """A film on a chip; two are alike where all that decides their faces is."""
+
+    decides: tuple[object, ...]
+    environment: Environment = field(compare=False)
+    film: FilmTable = field(compare=False)
+
+
+@lru_cache(maxsize=32)
+def _faces(top: _Top) -> Face:
+    line = _Line(top.environment, top.film)
     return Face(line.film_from("inside"), line.film_from("outside"))
 
 
@@ -159,22 +176,15 @@ def _specular(film: FilmTable, n: float, side: Side) -> SpecularTable:
     much of it goes on from one side as from the other, and none from total reflection.
     """
     theta = np.unique(node_angles(n, side == "inside"))
-    powers = powers_at(film, side, theta)
-    onward = _scattered_onward(film, n, side, theta) if powers.S_T.any() else powers.S_T
+    powers, back = powers_of_both(film, side, theta)
+    onward = _scattered_onward(powers, back)
     both = (powers.R + powers.S_R + powers.S_T - onward, powers.T + onward)
     R, T = (np.clip(np.tensordot(film.weight, of.mean(axis=1), axes=1), 0.0, 1.0) for of in both)
     return SpecularTable(theta, R, T, n / AIR if side == "inside" else AIR / n)
 
 
-def _scattered_onward(film: FilmTable, n: float, side: Side, theta: Real) -> Real:
-    """What a film scatters onward, the harmonic mean of light from both sides: the same of both, 0 at grazing."""
-    n_own, n_other = (n, AIR) if side == "inside" else (AIR, n)
-    other: Side = "outside" if side == "inside" else "inside"
-    sine = n_own / n_other * np.sin(theta)
-    through = sine <= 1.0 + 1e-12
-    found = np.zeros((film.weight.size, 2, theta.size))
-    across = np.arcsin(np.minimum(sine[through], 1.0))
-    one, back = powers_at(film, side, theta[through]).S_T, powers_at(film, other, across).S_T
-    total = one + back
-    found[..., through] = np.divide(2.0 * one * back, total, out=np.zeros_like(total), where=total > 0.0)
-    return found
+def _scattered_onward(one: Powers, back: Powers) -> Real:
+    """What a film scatters onward, the harmonic mean of light from both sides: the same of both, 0 at grazing, and
+    beyond the critical angle, where no light comes back."""
+    total = one.S_T + back.S_T
+    return np.divide(2.0 * one.S_T * back.S_T, total, out=np.zeros_like(total), where=total > 0.0)

@@ -10,7 +10,7 @@ surface has no error at all.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import pairwise
 
@@ -34,6 +34,18 @@ _BLOCK = 100_000  # wavelengths x angles computed at a time
 
 def powers_at(table: FilmTable, side: Side, theta_rad: Real) -> Powers:
     """Powers of the table's stack, each (wavelength, polarisation, angle), computed at angles (angle,)."""
+    return _powers(table, side, theta_rad, (side,))[0]
+
+
+def powers_of_both(table: FilmTable, side: Side, theta_rad: Real) -> tuple[Powers, Powers]:
+    """The same, and those of light from the other side at the angles where such light goes on; beyond the critical
+    angle, where there is none, its R reads 1."""
+    here, there = _powers(table, side, theta_rad, (side, "outside" if side == "inside" else "inside"))
+    return here, there
+
+
+def _powers(table: FilmTable, side: Side, theta_rad: Real, sides: Sequence[Side]) -> list[Powers]:
+    """Of light from `sides` at u = n sin(theta), n that of `side`."""
     rows = resolve(table.stack, table.wavelength_nm)
     index = rows.index.copy()
     index[:, 0], index[:, -1] = table.n_inside, table.n_outside  # a table takes half spaces without their k
@@ -42,13 +54,13 @@ def powers_at(table: FilmTable, side: Side, theta_rad: Real) -> Powers:
     u = n[:, None] * np.sin(theta_rad)
     if lossless.applies(rows):
         R = lossless.stack_reflectance(rows, u)
-        return Powers(R, 1.0 - R, *np.zeros((3, *R.shape)))
-    held = np.empty((5, n.size, 2, theta_rad.size))
+        return [Powers(R, 1.0 - R, *np.zeros((3, *R.shape)))] * len(sides)
+    held = np.empty((len(sides), len(Powers._fields), n.size, 2, theta_rad.size))
     width = max(1, _BLOCK // n.size)
     for part in (slice(a, a + width) for a in range(0, theta_rad.size, width)):
         found = solve(rows.index, rows.thickness_nm, rows.roughness_nm, rows.wavelength_nm, u[:, part])
-        held[..., part] = [getattr(found, f"{name}_{side}") for name in Powers._fields]
-    return Powers(*held)
+        held[..., part] = [[getattr(found, f"{name}_{one}") for name in Powers._fields] for one in sides]
+    return [Powers(*one) for one in held]
 
 
 def indices(table: FilmTable, side: Side) -> tuple[Real, Real]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -21,12 +23,12 @@ from containers.bsdf import (
     tabulate,
 )
 from containers.ray_tracing.arrays import SUBSTRATE, TOP_IN, TOP_OUT, SceneArrays
-from containers.ray_tracing.build import cell_of, scene_of
+from containers.ray_tracing.build import cell_of, film_faces, scene_of
 from containers.ray_tracing.packing import scene_arrays
 from containers.ray_tracing.philox import FACE, STREAM_WORDS, start
 from containers.ray_tracing.surfaces import ABSORBED, REFLECTED, TRANSMITTED, albedo, node_of, scatter, share
 from containers.scene import Face
-from containers.thin_film.angles import powers_at
+from containers.thin_film.angles import powers_at, powers_of_both
 from containers.thin_film.table import Side
 from luxloop.design import Design
 from luxloop.errors import InputError
@@ -222,6 +224,36 @@ def test_a_lossless_film_reflects_all_beyond_the_critical_angle() -> None:
     for u in np.linspace(1.0 + 1e-9, N, 200):
         at, above = node_of(surfaces, TOP_IN, 0, u * u, N * N)
         assert share(surfaces, TOP_IN, at, above, 0) > 1.0 - 1e-15  # the largest uniform is 1 - 2^-33
+
+
+@pytest.mark.parametrize("roughness_nm", [0.0, 5.0])
+@pytest.mark.parametrize("side", ["inside", "outside"])
+def test_powers_from_both_sides_are_those_from_each(side: Side, roughness_nm: float) -> None:
+    """At the angles of the same u; where no light can come from the other side, all of it is sent back."""
+    table = film(2.5, roughness_nm)
+    n_own, n_other = (N, 1.0) if side == "inside" else (1.0, N)
+    theta = np.linspace(0.0, np.pi / 2.0, 91)
+    here, there = powers_of_both(table, side, theta)
+    sine = n_own / n_other * np.sin(theta)
+    through = sine < 1.0
+    assert np.array_equal(np.array(here), np.array(powers_at(table, side, theta)))
+    other: Side = "outside" if side == "inside" else "inside"
+    again = powers_at(table, other, np.arcsin(sine[through]))
+    for one, alone in zip(there, again, strict=True):
+        np.testing.assert_allclose(one[..., through], alone, atol=1e-12)
+    np.testing.assert_allclose(there.R[..., sine > 1.0], 1.0, atol=1e-12)
+    assert bool(here.S_T.any()) == bool(roughness_nm)
+
+
+def test_faces_of_a_film_are_made_once() -> None:
+    """Whatever else is in the environment; another index or another film has its own."""
+    environment, table = Environment(), film(2.5, 5.0)
+    face = film_faces(environment, table)
+    other = environment.model_copy(update={"chip_absorption_per_cm": 17.0})
+    assert film_faces(other, replace(table)) is face
+    assert film_faces(environment.model_copy(update={"spectrum": "sampled"}), table) is not face
+    assert film_faces(environment, film(2.5, 4.0)) is not face
+    assert film_faces(environment, replace(table, weight=np.roll(table.weight, 1))) is not face
 
 
 def test_a_surface_that_creates_energy_is_refused() -> None:
