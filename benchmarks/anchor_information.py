@@ -5,7 +5,7 @@
 Images with nothing hidden, by the twin, fitted about Monte Carlo of 4 million histories a sample. There the columns
 of the catalogue's effects are whitened without and with the noise of anchors that ask for a share of the camera's
 noise by pixel, and what is fitted is taken out of them. 1: the Monte Carlo hides nothing; 4: an effect shows by half
-as many sigma. Groups of chips are left out.
+as many sigma. Groups of chips are left out, and what is nearly what is fitted: of its column noise would be left.
 """
 
 from __future__ import annotations
@@ -41,6 +41,8 @@ from validation.prediction import Anchored, Predictor
 PAPER = find_model("paper")
 BEGINS = 4_000_000
 SHARES = (0.3, 0.1, 0.05)
+LEFT = 0.05
+"""Of a column's length beside what is fitted, at least."""
 SHIFT_PX, ROTATION_DEG = 0.5, 0.1
 
 
@@ -61,18 +63,22 @@ def about(fit: Fit, anchor: Anchored) -> Fit:
     return replace(found, active=fit.active)
 
 
-def information(fit: Fit, engine: Diagnosing) -> list[tuple[str, float]]:
-    """Of each column that is no group its effect, and its square without what is fitted."""
+def information(fit: Fit, engine: Diagnosing) -> dict[str, tuple[str, float]]:
+    """Of each column that is no group and nothing like what is fitted: its effect, and its square without what is fitted."""
     projected = Projected.of(engine.signatures(fit, engine.effects), fit_projection(fit))
-    parts = zip(projected.candidates, projected.slices(), strict=True)
-    return [(one.effect.name, float(projected.gram[part, part][0, 0])) for one, part in parts if not one.is_group]
+    squares = np.diagonal(projected.gram)
+    return {
+        str(one.key): (one.effect.name, float(squares[part.start]))
+        for one, part, left in zip(projected.candidates, projected.slices(), projected.left, strict=True)
+        if not one.is_group and left > LEFT
+    }
 
 
-def hidden(alone: Sequence[tuple[str, float]], noisy: Sequence[tuple[str, float]]) -> dict[str, float]:
+def hidden(alone: dict[str, tuple[str, float]], noisy: dict[str, tuple[str, float]]) -> dict[str, float]:
     """The camera's information over what is left, by effect: the median over its shapes."""
     found: dict[str, list[float]] = {}
-    for (name, without), (_, left) in zip(alone, noisy, strict=True):
-        found.setdefault(name, []).append(without / left)
+    for key in alone.keys() & noisy.keys():
+        found.setdefault(alone[key][0], []).append(alone[key][1] / noisy[key][1])
     return {name: float(np.median(several)) for name, several in found.items()}
 
 

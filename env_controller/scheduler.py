@@ -22,7 +22,7 @@ from env_controller.hedging import Durations
 from env_controller.waiting import Queue
 
 STORIES = 1000  # finished tasks whose story is kept
-GROUPS = 8  # of a worker that are remembered: about what it may still hold of them
+GROUPS = 64  # of a worker that are remembered: as many fields by Monte Carlo as it keeps
 BETWEEN_S = 0.25  # a worker that has delivered asks again within milliseconds; so long it is waited for
 
 
@@ -62,7 +62,7 @@ class WorkerRecord:
     slots: int
     heard_s: float
     finished: int = 0
-    groups: list[str] = field(default_factory=list)  # of its last tasks, the latest first; "": of none
+    groups: list[str] = field(default_factory=list)  # of its last tasks, the latest first
     delivered_s: float = -1e9
 
 
@@ -145,8 +145,10 @@ class Scheduler:
         """
         before = self.workers.get(event.worker)
         commands = self._release_polls(event.worker)
-        finished = before.finished if before else 0
-        self.workers[event.worker] = WorkerRecord(event.worker, event.kind, event.slots, event.at_s, finished)
+        after = WorkerRecord(event.worker, event.kind, event.slots, event.at_s)
+        if before is not None:  # the same process, whose link was cut: another one has another name
+            after.finished, after.groups = before.finished, before.groups
+        self.workers[event.worker] = after
         for task_id, attempt in event.holding:
             if not self._adopt(event, task_id, attempt):
                 commands.append(e.Stop(event.worker, task_id, attempt))
@@ -234,7 +236,8 @@ class Scheduler:
                 continue
             commands.append(e.Stop(lease.worker, lease.task_id, lease.attempt))
             commands += self._requeue(lease, event.at_s, why, code=code)
-        return commands + self._lose_patience(event.at_s)
+        commands += self._lose_patience(event.at_s)
+        return commands + [one for kind in list(self.ready) for one in self._match(kind, event.at_s)]
 
     def _lose_patience(self, at_s: float) -> list[e.Command]:
         """End the tasks that have waited too long for a worker of their kind to appear."""
@@ -268,24 +271,30 @@ class Scheduler:
         return worker.kind == kind and at_s - worker.heard_s <= self.silence_s
 
     def _had(self, task: TaskRecord, poll: int, at_s: float) -> int:
-        """Of the polls that could take a task, the one of the worker that had its group last; else the one given."""
-        if not task.group:
-            return poll
-        found, latest = poll, GROUPS
+        """Of the polls that could take a task, the one whose worker has had fewest other groups since the
+        task's; else the one given."""
+        found, since = poll, GROUPS
         for other, name in self.polls.items():
-            worker = self.workers[name]
-            free = self._answers(other, task.kind, at_s) and len(self.held_by(name)) < worker.slots
-            if free and task.group in worker.groups[:latest]:
-                found, latest = other, worker.groups.index(task.group)
+            groups = self.workers[name].groups
+            if task.group in groups[:since] and self._is_free(other, task.kind, at_s):
+                found, since = other, groups.index(task.group)
         return found
 
+    def _is_free(self, poll: int, kind: str, at_s: float) -> bool:
+        """Whether the worker of a poll could take a task of a kind."""
+        worker = self.workers[self.polls[poll]]
+        return self._answers(poll, kind, at_s) and len(self.held_by(worker.worker)) < worker.slots
+
     def _comes_back(self, task: TaskRecord, at_s: float) -> bool:
-        """Whether the worker that had a task's group has just delivered and not asked yet: whoever waited for its
+        """Whether the one worker that had a task's group has just delivered and not asked yet: whoever waited for its
         answer may ask us before it does."""
+        had = {name: one for name, one in self.workers.items() if one.kind == task.kind and task.group in one.groups}
+        if any(self.polls[poll] in had and self._is_free(poll, task.kind, at_s) for poll in self.polls):
+            return False
+        asks = set(self.polls.values())
         return any(
-            task.group and task.group in worker.groups and at_s - worker.delivered_s < BETWEEN_S
-            for name, worker in self.workers.items()
-            if worker.kind == task.kind and name not in self.polls.values() and not self.held_by(name)
+            at_s - one.delivered_s < BETWEEN_S and name not in asks and not self.held_by(name)
+            for name, one in had.items()
         )
 
     def _next(self, worker: WorkerRecord) -> TaskRecord | None:
@@ -315,7 +324,8 @@ class Scheduler:
 
     def _grant(self, task: TaskRecord, worker: WorkerRecord, poll: int, at_s: float) -> e.Grant:
         task.attempt += 1
-        worker.groups = [task.group, *(group for group in worker.groups if group != task.group)][:GROUPS]
+        if task.group:
+            worker.groups = [task.group, *(group for group in worker.groups if group != task.group)][:GROUPS]
         lease = LeaseRecord(task.task_id, worker.worker, task.attempt, at_s)
         if task.task_id in self.leases:
             self.hedges[task.task_id] = lease

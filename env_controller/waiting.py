@@ -12,9 +12,9 @@ LOOK_AHEAD = 8  # tasks of a share among which one of the worker's last group is
 
 
 def group_of(task: Task) -> str:
-    """What a worker computes once for all tasks of a group: the anchor of a prediction; "": nothing is known."""
+    """What a worker computes once for all tasks of a group: the Monte Carlo of a prediction's anchor; "": nothing."""
     anchor = task.inputs.get("anchor")
-    if not isinstance(anchor, dict):
+    if not isinstance(anchor, dict) or not anchor.get("histories"):
         return ""
     exits = [task.inputs.get(name) for name in ("exit_histories", "exit_seed")]
     return sha256_of([anchor, exits, anchor.get("shots") or task.inputs.get("shots")])
@@ -24,8 +24,8 @@ class Queue:
     """Three lines: what comes back from a worker, then the shares in turn, then what is only wanted ahead of time.
 
     A share is whoever wants tasks, a campaign or a client: two campaigns get task for task, however many each has
-    waiting. Within a share the oldest goes first, but a task of the `group` (the film) that the worker had last may
-    overtake up to `LOOK_AHEAD` - 1 others.
+    waiting. Within a share the oldest goes first, but a task of the `group` (a film, an anchor) that the worker had
+    last may overtake up to `LOOK_AHEAD` - 1 others, and as often is the oldest overtaken at most.
     """
 
     def __init__(self) -> None:
@@ -33,6 +33,7 @@ class Queue:
         self._shares: OrderedDict[str, OrderedDict[str, str]] = OrderedDict()
         self._ahead: OrderedDict[str, str] = OrderedDict()
         self._line: dict[str, OrderedDict[str, str]] = {}  # task -> where it waits
+        self._overtaken: dict[str, int] = {}  # task -> how often, while it was the oldest of its share
 
     def add(self, task_id: str, share: str, group: str, *, ahead: bool = False, again: bool = False) -> None:
         """A new task at the end of its share's line; one that comes back (`again`) before all others."""
@@ -49,8 +50,13 @@ class Queue:
         elif self._shares:
             share, line = next(iter(self._shares.items()))
             self._shares.move_to_end(share)
-            alike = (task for _, (task, own) in zip(range(LOOK_AHEAD), line.items(), strict=False) if own == group)
-            task_id = next(alike, next(iter(line)))
+            oldest = next(iter(line))
+            past = self._overtaken.get(oldest, 0)
+            ahead = range(LOOK_AHEAD if group and past < LOOK_AHEAD - 1 else 0)
+            alike = (task for _, (task, own) in zip(ahead, line.items(), strict=False) if own == group)
+            task_id = next(alike, oldest)
+            if task_id != oldest:
+                self._overtaken[oldest] = past + 1
         elif self._ahead:
             task_id = next(iter(self._ahead))
         else:
@@ -62,6 +68,7 @@ class Queue:
     def discard(self, task_id: str) -> None:
         """Take a task out of its line; nothing happens where it does not wait."""
         line = self._line.pop(task_id, None)
+        self._overtaken.pop(task_id, None)
         if line is None:
             return
         del line[task_id]

@@ -26,6 +26,7 @@ from validation.diagnose.verdict import (
     concluded,
     decided,
     is_visible,
+    told_of_rest,
 )
 from validation.model_versions import versions
 from validation.sample_values import numbers
@@ -43,7 +44,7 @@ def diagnosis(document: Document, at: Place) -> None:
         at.exact("verdict", document["verdict"], again.word)
         at.exact("set of the verdict", document["set"], list(again.set))
         if again.word == "one_effect":
-            at.exact("sentence begins", document["sentence"][: len(again.sentence)], again.sentence)
+            at.exact("sentence", document["sentence"], again.sentence + _rest(document, again, tried))
     drops = [(not one.plausible, -one.drop) for one in tried]
     at.exact("effects, the best first", drops, sorted(drops))
     scored = [-row["chi2_drop"] for row in document["scores"]]
@@ -62,6 +63,17 @@ def verdict_of(document: Document, tried: Sequence[Explanation]) -> Verdict | No
     shares = [Share(row["share"], _infinite(row["share_error"])) for row in added] if leads_on else []
     p_left = added[-1]["p_left"] if added else 1.0
     return concluded(found, only, shares, p_left, document["known"], lambda: "")
+
+
+def _rest(document: Document, first: Verdict, tried: Sequence[Explanation]) -> str:
+    """What is said after the first round's sentence; as it was said before structure that is left was told, if so."""
+    added = document["added"]
+    if not added:
+        return ""
+    further = [f"{row['name']} ({row['size']})" for row in added[1:]]
+    before = told_of_rest(first, (), further, 1.0)
+    told = told_of_rest(first, tried, further, added[-1]["p_left"])
+    return before if document["sentence"] == first.sentence + before else told
 
 
 def explanation_of(row: Document) -> Explanation:

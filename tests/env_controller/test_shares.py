@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 
 from env_controller import events as e
-from env_controller.scheduler import BETWEEN_S
-from env_controller.waiting import group_of
+from env_controller.scheduler import BETWEEN_S, GROUPS
+from env_controller.waiting import LOOK_AHEAD, group_of
 from luxloop.messages import Task
 from tests.env_controller.stories import A, B, Story
 
@@ -163,18 +163,108 @@ def test_the_worker_that_had_the_group_is_waited_for_between_two_tasks(after_s: 
         assert story.core.handle(e.Beat(story.now, "w2")) == [e.Grant(waits, "w2", B, 1)]
 
 
-def test_a_worker_that_comes_back_has_forgotten_its_groups() -> None:
-    """What it held was in the memory of a process; and a silent one is passed over."""
-    story = Story(silence_s=60.0)
+def had_by_w1(**options: float) -> Story:
+    """w1 has had a task of the group "anchor"; w2 waits, since before."""
+    story = Story(**options)
     story.join("w1")
     story.join("w2")
     story.submit(A, group="anchor")
     story.poll("w1")
     story.poll("w2")
     story.deliver("w1", A)
+    return story
+
+
+def test_a_worker_whose_link_was_cut_still_has_its_groups() -> None:
+    """It says hello again under its name: another process would have another one."""
+    story = had_by_w1(silence_s=60.0)
     story.join("w1")
     story.poll("w1")
+    assert story.submit(B, group="anchor") == [e.Grant(story.polls, "w1", B, 1)]
+
+
+def test_a_silent_worker_that_had_the_group_is_passed_over() -> None:
+    """So is one that has all that it can hold."""
+    story = had_by_w1(silence_s=6.0)
+    story.poll("w1")
+    story.now += 10.0
+    story.core.handle(e.Beat(story.now, "w2"))
     assert story.submit(B, group="anchor") == [e.Grant(story.polls - 1, "w2", B, 1)]
+    story = had_by_w1(silence_s=60.0)
+    story.poll("w1")
+    story.core.polls[99] = "w1"  # a second poll of a worker with one slot
+    story.submit(B, group="anchor")
+    assert story.submit("c" * 64, group="anchor") == [e.Grant(2, "w2", "c" * 64, 1)]
+
+
+def test_who_has_the_group_and_waits_is_not_kept_from_it_by_another_who_had_it() -> None:
+    """Two have it; one has just delivered, the other is idle."""
+    story = had_by_w1(silence_s=60.0)
+    story.submit(B, group="anchor")
+    story.now += 1.0
+    story.core.handle(e.Tick(story.now))
+    story.poll("w1")
+    story.deliver("w2", B)
+    assert story.submit("c" * 64, group="anchor") == [e.Grant(story.polls, "w1", "c" * 64, 1)]
+
+
+def test_a_task_that_was_left_to_a_worker_that_went_is_given_at_the_next_tick() -> None:
+    """Nobody else has to say anything first."""
+    story = had_by_w1(silence_s=60.0)
+    assert story.submit(B, group="anchor") == []
+    story.core.handle(e.Left(story.now, "w1", "gone"))
+    story.now += 0.25
+    assert story.core.handle(e.Tick(story.now)) == [e.Grant(story.polls, "w2", B, 1)]
+
+
+def test_what_has_no_group_pushes_none_out() -> None:
+    """Small requests between two about the same anchor; of groups only so many are remembered."""
+    story = Story(silence_s=60.0)
+    story.join("w1")
+
+    def one(task: str, group: str) -> None:
+        story.submit(task, group=group)
+        story.poll("w1")
+        story.deliver("w1", task)
+
+    one(A, "anchor")
+    for number in range(2 * GROUPS):
+        one(f"{number:064x}", "")
+    assert story.core.workers["w1"].groups == ["anchor"]
+    for number in range(2 * GROUPS):
+        one(f"{number:064x}", f"anchor {number}")
+    assert story.core.workers["w1"].groups == [f"anchor {2 * GROUPS - 1 - back}" for back in range(GROUPS)]
+
+
+def test_the_oldest_of_a_share_is_overtaken_seven_times_at_most() -> None:
+    """However many of the worker's last group keep coming."""
+    story = Story()
+    story.join()
+    story.submit(A, group="x")
+    story.poll()
+    story.submit(B, group="y")
+    order = []
+    for number in range(20):
+        for ahead in (2 * number, 2 * number + 1):
+            story.submit(f"{ahead:064x}", group="x")
+        story.deliver("w1", A if not order else order[-1])
+        (grant,) = story.poll()
+        order.append(grant.task_id)  # type: ignore[attr-defined]
+        if order[-1] == B:
+            break
+    assert order.index(B) == LOOK_AHEAD - 1
+
+
+def test_one_without_a_group_does_not_overtake() -> None:
+    """First come, first served, of tasks of which nothing is known."""
+    story = Story()
+    story.join()
+    story.submit("0" * 64)
+    story.poll()
+    story.submit(A, group="x")
+    story.submit(B)
+    story.deliver("w1", "0" * 64)
+    assert story.poll() == [e.Grant(story.polls, "w1", A, 1)]
 
 
 def test_predictions_about_one_anchor_are_a_group() -> None:
@@ -189,7 +279,7 @@ def test_predictions_about_one_anchor_are_a_group() -> None:
     assert group(anchor=anchored) == group(anchor=anchored, shots=["moved"])
     others = (group(shots=["moved"]), group(anchor={"histories": 2000, "shots": []}), group(exit_seed="2"))
     assert len({group(), *others}) == 4
-    assert group(anchor=None) == group(anchor="mine") == ""
+    assert group(anchor=None) == group(anchor="mine") == group(anchor={"histories": 0, "shots": []}) == ""
 
 
 def test_what_is_wanted_ahead_waits_for_all_else_until_it_is_wanted_now() -> None:

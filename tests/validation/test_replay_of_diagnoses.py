@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -21,7 +22,9 @@ from validation.adding import told_of
 from validation.comparing import maps_of
 from validation.dataset.folder import read_dataset
 from validation.diagnose.document import document
+from validation.diagnose.explained import Share
 from validation.diagnose.rounds import Diagnosis
+from validation.diagnose.verdict import decided
 from validation.fit import Fit, fit
 from validation.model_versions import save
 from validation.redeciding import changed_model, diagnosis
@@ -96,6 +99,22 @@ def test_a_forged_diagnosis_is_named(diagnosed: Plain, path: str, value: Any, wh
     if path == "structure/p":
         forged["scores_p"] = 0.9
     assert (what, "differs") in said(lambda at: diagnosis(forged, at))
+
+
+def test_what_a_verdict_says_is_left_follows_from_its_numbers() -> None:
+    """That structure is left; a record from before that was said has none of it; another number is named."""
+    (step,) = made_up.diagnosis(made_up.data("ripple", 3, 0.06), known=made_up.CATALOGUE[:1]).steps
+    assert step.verdict.word == "one_effect"
+    tried = tuple(replace(one, p_left=0.0001, share=Share(0.9, 0.05)) for one in step.explanations)
+    verdict = decided(tried, 1, str, lambda _: "")
+    leaving = Diagnosis((replace(step, explanations=tried, verdict=verdict),), 1)
+    told = as_kept(document(leaving, 1))
+    left = " Structure is left that nothing named here explains (p 0.0001)."
+    assert told["sentence"] == verdict.sentence + left
+    assert said(lambda at: diagnosis(told, at)) == []
+    assert said(lambda at: diagnosis(put(told, "sentence", verdict.sentence), at)) == []
+    forged = put(told, "sentence", told["sentence"].replace("0.0001", "0.001"))
+    assert said(lambda at: diagnosis(forged, at)) == [("sentence", "differs")]
 
 
 def test_a_forged_map_of_residuals_is_named(found: Diagnosis, diagnosed: Plain) -> None:

@@ -11,7 +11,7 @@ from validation.diagnose.in_words import left_in_words
 from validation.diagnose.next_measurement import Proposal
 from validation.diagnose.refitted import Refitted
 from validation.diagnose.score import Scores
-from validation.diagnose.verdict import HALF, Verdict, concluded
+from validation.diagnose.verdict import HALF, Verdict, concluded, told_of_rest
 from validation.effects.confounding import Confounding
 from validation.fit import Fit
 
@@ -70,11 +70,9 @@ class Diagnosis:
         )
         if not added or found is not first:
             return found
-        further = ", ".join(f"{one.name} ({one.size})" for one in added[1:])
-        sentence = first.sentence + (f" What it leaves is explained by {further}." if further else "")
-        if p_left < LEVEL / 2.0:
-            sentence += f" Structure is left that nothing named here explains (p {p_left:.2g})."
-        return replace(first, sentence=sentence)
+        further = [f"{one.name} ({one.size})" for one in added[1:]]
+        rest = told_of_rest(first, self.steps[0].explanations, further, p_left)
+        return replace(first, sentence=first.sentence + rest)
 
     @property
     def added(self) -> list[Explanation]:

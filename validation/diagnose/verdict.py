@@ -172,6 +172,24 @@ def concluded(
     return first
 
 
+def told_of_rest(first: Verdict, tried: Sequence[Explanation], further: Sequence[str], p_left: float) -> str:
+    """What follows a sentence that names effects: what explains what they leave, and whether structure is left.
+
+    Parameters
+    ----------
+    tried : in the first round. further : effects of further rounds, with their sizes. p_left : of the structure that
+    all of them leave; of rivals that is looked at which leaves least, for which it is cannot be told.
+    """
+    if first.word == "cannot_tell_apart" and not further:
+        p_left = max((one.p_left for one in tried if one.name in first.set), default=p_left)
+    leaves = p_left < LEVEL / 2.0
+    if further:
+        named = ", ".join(further)
+        in_part = f"is explained in part by {named}; structure is left with all (p {p_left:.2g})."
+        return f" What it leaves {in_part}" if leaves else f" What it leaves is explained by {named}."
+    return f" Structure is left that nothing named here explains (p {p_left:.2g})." if leaves else ""
+
+
 def doubted(best: Explanation) -> Verdict:
     """The fit is in doubt even with the best effect."""
     return not_trustworthy([f"with {best.name} added, {reason}" for reason in best.distrust])

@@ -8,7 +8,7 @@ import pytest
 
 from validation.diagnose.explained import Share
 from validation.diagnose.explanation import Explanation
-from validation.diagnose.verdict import decided
+from validation.diagnose.verdict import Verdict, decided, told_of_rest
 
 
 def explanation(name: str, drop: float, share: Share, beside: dict[str, float]) -> Explanation:
@@ -92,3 +92,20 @@ def test_what_noise_does_of_so_many_effects_explains_no_structure() -> None:
     }
     assert words == {2.8: "none_of_the_known", 14.0: "none_of_the_known", 15.0: "one_effect"}
     assert decided([replace(best, p_left=0.3)], 32, lambda: "", lambda _: "").word == "one_effect"
+
+
+def test_a_sentence_ends_with_what_is_left() -> None:
+    """Of rivals one may leave nothing: then nothing is said to be left. A further effect may explain a part of it."""
+    leaves = replace(explanation("walls", 50.0, Share(0.9, 0.05), {}), p_left=0.0003)
+    nothing = explanation("chip", 49.0, Share(0.9, 0.05), {})
+    alone, rivals = Verdict("one_effect", "", ("walls",)), Verdict("cannot_tell_apart", "", ("walls", "chip"))
+    left = " Structure is left that nothing named here explains (p 0.0003)."
+    assert told_of_rest(alone, [leaves, nothing], [], 0.0003) == left
+    assert told_of_rest(alone, [leaves, nothing], [], 0.3) == ""
+    assert told_of_rest(rivals, [leaves, nothing], [], 0.0003) == ""
+    assert told_of_rest(rivals, [leaves, replace(nothing, p_left=0.0002)], [], 0.0003) == left
+    assert (
+        told_of_rest(alone, [leaves], ["chip (gain 0.1)"], 0.3) == " What it leaves is explained by chip (gain 0.1)."
+    )
+    in_part = " What it leaves is explained in part by chip (gain 0.1); structure is left with all (p 0.0001)."
+    assert told_of_rest(alone, [leaves], ["chip (gain 0.1)"], 0.0001) == in_part
