@@ -64,7 +64,7 @@ def about(fit: Fit, anchor: Anchored) -> Fit:
 
 
 def information(fit: Fit, engine: Diagnosing) -> dict[str, tuple[str, float]]:
-    """Of each column that is no group and nothing like what is fitted: its effect, and its square without what is fitted."""
+    """Of each column that is no group and not nearly what is fitted: its effect, its square beside the fit."""
     projected = Projected.of(engine.signatures(fit, engine.effects), fit_projection(fit))
     squares = np.diagonal(projected.gram)
     return {
