@@ -245,6 +245,21 @@ def test_powers_from_both_sides_are_those_from_each(side: Side, roughness_nm: fl
     assert bool(here.S_T.any()) == bool(roughness_nm)
 
 
+def test_a_rough_film_sends_on_as_much_from_either_side_and_loses_nothing() -> None:
+    """T of the same u from GaN and from air, what is scattered onward included; R + T = 1 where nothing absorbs."""
+    face = film_faces(Environment(), film(5.5, 5.0))
+    (inside,), (outside,) = face.inside, face.outside
+    assert isinstance(inside, SpecularTable)
+    assert isinstance(outside, SpecularTable)
+    u = np.linspace(0.0, 0.99, 500)
+    from_inside = np.interp(np.arcsin(u / N), inside.theta_in_rad, inside.T)
+    from_outside = np.interp(np.arcsin(u), outside.theta_in_rad, outside.T)
+    assert float(np.abs(from_inside - from_outside).max()) < 2e-5
+    for one in (inside, outside):
+        np.testing.assert_allclose(one.R + one.T, 1.0, atol=1e-12)
+    assert not inside.T[inside.theta_in_rad > np.arcsin(1.0 / N) + 1e-9].any()
+
+
 def test_faces_of_a_film_are_made_once() -> None:
     """Whatever else is in the environment; another index or another film has its own."""
     environment, table = Environment(), film(2.5, 5.0)

@@ -26,6 +26,12 @@ class Story:
         self.polls += 1
         return self.core.handle(e.Polled(self.now, worker, self.polls, holding, hold))
 
+    def granted(self, worker: str = "w1") -> str:
+        """The task that a poll is granted at once."""
+        (grant,) = self.poll(worker)
+        assert isinstance(grant, e.Grant)
+        return grant.task_id
+
     def deliver(
         self, worker: str = "w1", task: str = A, attempt: int = 1, verdict: str = "done", epoch: str = "e1"
     ) -> list[e.Command]:
