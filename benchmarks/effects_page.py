@@ -123,6 +123,7 @@ def _scope(spec: EffectSpec) -> str:
 
 def _by(spec: EffectSpec) -> str:
     by = "the twin and by Monte Carlo" if spec.twin else "Monte Carlo alone: the twin cannot represent it"
+    by = "transfer matrices" if spec.acts_on == ("films",) else by  # no light is traced through a measured film
     return by + ("; it has no slope at off, so refits test it" if spec.discrete else "")
 
 
