@@ -2,7 +2,7 @@
 
     distance_um  ──(-8)──(-4)──(-2)(-1) here (+1)(+2)──(+4)──(+8)──     steps of the bounds; profile `paper`: ±1 only
 
-Pairs move in the bounds' step as the rest does; a half pair swaps mirror and anti-reflection (PHYSICS section 3), so
+Pairs move in the bounds' step as the rest does; a half pair swaps mirror and anti-reflection, so
 the whole pair that `fast` reaches with 2 steps of 0.5 is often the better move.
 """
 

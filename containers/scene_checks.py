@@ -2,7 +2,7 @@
 
 Light that can go from a to b can go from b to a (Helmholtz). A table that breaks this is still traced, forward, as it
 is; but its albedo and its shape then cannot both be right, and nothing that traces backwards will agree. The Gaussian
-lobe is exempt: it is defined so (PHYSICS section 1).
+lobe is exempt: it is defined so.
 """
 
 from __future__ import annotations

@@ -24,7 +24,7 @@ Single = NDArray[np.float32]
 
 N = 2.4869
 ESCAPE = 6.0 * (1.0 - np.cos(np.radians(23.71))) / 2.0
-"""Share of isotropic light inside an escape cone of a clear GaN cuboid, as PHYSICS gives it."""
+"""Share of isotropic light inside an escape cone of a clear GaN cuboid, n = 2.4869."""
 SUBSTRATE = GaussianLobe(0.97, np.radians(5.0))
 
 

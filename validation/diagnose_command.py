@@ -245,7 +245,7 @@ def rivals_of(model: str) -> list[str]:
     if last["model_sha256"] != find_model(model).sha256:
         mend = "run luxloop diagnose again, or name the effects"
         raise InputError("EFFECT", "none", f"a diagnosis of this model, not of {last['model_sha256'][:12]}", mend)
-    if len(last["set"]) < 2:
+    if last["verdict"] != "cannot_tell_apart":
         mend = f"name two effects; it said {last['verdict']}"
         raise InputError("EFFECT", "none", "a diagnosis that left rivals", mend)
     return list(last["set"])

@@ -29,7 +29,7 @@ def reciprocity_defect(
     Notes
     -----
     Delta parts into the mirror direction are reciprocal by themselves; for refracted ones see `transmission_defect`.
-    Lambertian and symmetrised tables give 0, a Gaussian lobe does not (PHYSICS section 1).
+    Lambertian and symmetrised tables give 0, a Gaussian lobe does not.
     """
     theta, phi = np.atleast_1d(checked_angle(theta_rad)), np.asarray(phi_rad, float)
     there = bsdf.evaluate(

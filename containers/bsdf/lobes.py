@@ -45,7 +45,7 @@ class Lambertian(Bsdf):
 
 @dataclass(frozen=True)
 class GaussianLobe(Bsdf):
-    """Reflection spread about the mirror direction, as the substrate of PHYSICS section 1 does it.
+    """Reflection spread about the mirror direction, as the substrate does it.
 
     Parameters
     ----------

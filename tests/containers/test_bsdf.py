@@ -251,7 +251,7 @@ def test_reciprocity_holds_for_lambert_fresnel_and_symmetrised_tables() -> None:
 
 
 def test_the_lobe_is_known_not_to_be_reciprocal() -> None:
-    """The lobe conserves energy instead, so no adjoint may pass through it (PHYSICS section 1)."""
+    """The lobe conserves energy instead, so no adjoint may pass through it."""
     assert reciprocity_defect(GaussianLobe(0.97, 5.0 * DEG), np.linspace(60.0, 85.0, 11) * DEG) > 0.1
 
 

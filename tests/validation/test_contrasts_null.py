@@ -134,6 +134,41 @@ def test_a_null_is_read_back_from_its_folder(tmp_path, monkeypatch):
     assert [file.suffix for file in tmp_path.iterdir()] == [".npy"]
 
 
+@pytest.mark.parametrize("damage", ["empty", "cut", "other", "no folder"])
+def test_a_damaged_null_is_drawn_again(tmp_path, monkeypatch, damage):
+    """What a power cut left, what is of another layout, and a folder that is a file: none ends a diagnosis."""
+    one = _fitted(2, side=12)
+    layout, projection = fit_layout(one), fit_projection(one)
+    weight = Variances.of(layout, projection).weight
+    cache = tmp_path / "nulls"
+    monkeypatch.setattr("validation.contrasts.null._REMEMBERED", {})
+    first = null(layout, projection, weight, 40, cache=cache).energies
+    (file,) = cache.iterdir()
+    whole = file.read_bytes()
+    if damage == "other":
+        np.save(file, np.zeros((2, 40), np.float32))
+    elif damage == "no folder":
+        file.unlink()
+        cache.rmdir()
+        cache.write_text("not a folder")
+    else:
+        file.write_bytes(b"" if damage == "empty" else whole[:-100])
+    monkeypatch.setattr("validation.contrasts.null._REMEMBERED", {})
+    np.testing.assert_array_equal(null(layout, projection, weight, 40, cache=cache).energies, first)
+    assert damage == "no folder" or file.read_bytes() == whole
+
+
+def test_old_nulls_go(tmp_path, monkeypatch):
+    """A fit that is not made again never asks for its own."""
+    monkeypatch.setattr("validation.contrasts.null._MOST_KEPT", 3)
+    one = _fitted(2, side=12)
+    layout, projection = fit_layout(one), fit_projection(one)
+    weight = Variances.of(layout, projection).weight
+    for seed in range(1, 6):
+        null(layout, projection, weight, 20, seed=seed, cache=tmp_path)
+    assert len(list(tmp_path.iterdir())) == 3
+
+
 def test_p_counts_itself():
     """p = (1 + b)/(1 + B); none as large is printed as such."""
     assert counted_p(np.array([1.0, 2.0, 3.0]), 2.5) == (0.5, "0.5")

@@ -182,6 +182,23 @@ def test_a_curve_has_structure_too():
     assert found.where[0].place.startswith("450.794-461.905 nm")
 
 
+def test_a_curve_that_the_fit_takes_whole_has_no_place_and_is_no_fault():
+    """One value and a scale of its own beside a spectrum: nothing is left of it to look at."""
+    axis = np.linspace(400.0, 500.0, 64)
+    noise = np.random.default_rng(1).standard_normal(64)
+    curves = [
+        CurveData("t", noise, np.ones(64), axis=axis, axis_unit="nm"),
+        CurveData("one", np.ones(1), np.ones(1), False, True, axis=axis[:1], axis_unit="nm"),
+    ]
+
+    def predict(model, curves, paths, others):
+        return [PredictedCurve(np.zeros(64), {}), PredictedCurve(np.ones(1), {})]
+
+    found = structure(fit(TRUTH, [], Spots(), free=(), curves=curves, predict_curves=predict), draws=DRAWS)
+    assert (found.shots["one"].worst.words, found.shots["one"].worst.z) == ("nowhere", 0.0)
+    assert found.p > 0.01
+
+
 def test_every_used_pixel_is_in_each_partition_once():
     """Blocks, rings and sectors each sum every used pixel of an image exactly once; masked ones nowhere."""
     used = np.random.default_rng(1).uniform(size=(13, 9)) > 0.2

@@ -73,19 +73,21 @@ def _asked(folder: Path, out: Path) -> Index:
 
 
 def _proposal(folder: Path, name: str) -> dict[str, Any] | None:
-    """The sample that the verdict on a set proposes."""
+    """The image that the verdict on a set proposes."""
     if not record_path(folder, name).exists():
         return None
-    found = read_record(folder, name)["next_measurement"]
-    return None if found is None else dict(found["sample"])
+    found: dict[str, Any] | None = read_record(folder, name)["next_measurement"]
+    return found
 
 
 def _measure_one(folder: Path, out: Path, one: Entry, index: Index) -> None:
     record = read_record(folder, one.id)
     answer = opened(folder, one.id, record)
     dataset = read_dataset(folder / SETS / one.id)
-    sample = parse(Sample, _proposal(folder, one.id), "next_measurement.sample")
-    frames = int(EXPOSURES) if sample.id in {each.id for each in dataset.manifest.samples} else 1
+    asked = record["next_measurement"]
+    sample = parse(Sample, asked["sample"], "next_measurement.sample")
+    is_there = sample.id in {each.id for each in dataset.manifest.samples}
+    frames = int(asked.get("exposure_ratio", EXPOSURES if is_there else 1.0))  # older verdicts do not say
     count = len(dataset.manifest.shots)
     truth = truth_of(int(answer.truth["number"]), model_of(out, index), count + 1, answer.seed)
     image, exposure_ms = taken(truth, dataset, sample, answer, frames)
@@ -98,7 +100,7 @@ def _measure_one(folder: Path, out: Path, one: Entry, index: Index) -> None:
     )  # fmt: skip
     write_tiff(temporary / shot.file, image.astype(np.uint16 if frames == 1 else np.float32))
     old = dataset.manifest
-    samples = old.samples if frames > 1 else (*old.samples, sample)
+    samples = old.samples if is_there else (*old.samples, sample)
     manifest = old.model_copy(update={"samples": samples, "shots": (*old.shots, shot)})
     (temporary / MANIFEST).write_text(manifest_text(manifest), encoding="utf-8")
     write_sums(temporary)

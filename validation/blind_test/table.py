@@ -75,7 +75,7 @@ def interval(hits: int, of: int, level: float = LEVEL) -> tuple[float, float]:
 
 
 def table(sets: Sequence[Marked]) -> list[Row]:
-    """All rows of DIAGNOSIS section 5."""
+    """All rows, with their targets."""
     later = {each.answer.follows: each for each in sets if each.answer.follows}
     sets = [each for each in sets if not each.answer.follows]
     one = [each for each in sets if each.is_one]

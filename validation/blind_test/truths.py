@@ -24,6 +24,8 @@ SHIFT_PX, ROTATION_DEG = 0.5, 0.1
 """Standard deviations of poses."""
 MARGIN = 0.1
 """Of a range: truths keep as far from its ends."""
+TRIES = 10_000
+"""For a value that lies within."""
 SEEDS = 2**48
 SURROUNDINGS, PLAN, LIGHT, NOISE = 11, 12, 13, 14
 """What the seed is drawn for."""
@@ -130,10 +132,13 @@ def _drawn(random: np.random.Generator, model: Model, path: str) -> float:
     mean, sd = fit.prior_mean, fit.prior_sd
     if mean is None or sd is None:
         mean, sd = float(model.leaves()[path]), MARGIN * room
-    while True:
+    lower, upper = fit.lower + MARGIN * room, fit.upper - MARGIN * room
+    for _ in range(TRIES):
         value = float(random.normal(mean, sd))
-        if fit.lower + MARGIN * room <= value <= fit.upper - MARGIN * room:
+        if lower <= value <= upper:
             return value
+    allowed = f"a prior with room between {lower:g} and {upper:g}, where truths are drawn"
+    raise InputError(f'fit."{path}"', f"{mean:g} +- {sd:g}", allowed, "move its limits, or the prior")
 
 
 def _seed(random: np.random.Generator) -> int:

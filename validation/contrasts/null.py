@@ -12,6 +12,7 @@ seed, same null.
 from __future__ import annotations
 
 import hashlib
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -21,7 +22,7 @@ from numpy.typing import NDArray
 from scipy.special import log_ndtr, ndtri_exp  # scipy.stats takes a second to import
 
 from validation.contrasts.families import Layout
-from validation.fit.whitening import SCALE_PRIOR_SD, held_scales
+from validation.fit.whitening import HELD_SD, SCALE_PRIOR_SD, held_scales
 
 Real = NDArray[np.float64]
 Single = NDArray[np.float32]
@@ -137,6 +138,8 @@ def _log_some(log_expected: Real) -> Real:
 
 _REMEMBERED: dict[str, Single] = {}
 _MOST_REMEMBERED = 8
+_MOST_KEPT = 64
+"""Files of a folder: some 3 MB each, and a fit that is not made again never asks for its own."""
 
 
 def null(
@@ -151,9 +154,9 @@ def null(
     key = _key(layout, projection, draws, seed)
     file = None if cache is None else cache / f"null-{key}.npy"
     if key not in _REMEMBERED:
-        if file is not None and file.exists():
-            drawn = np.load(file)
-        else:
+        shape = (len(layout.members) + len(layout.places), draws)
+        drawn = None if file is None else _loaded(file, shape)
+        if drawn is None:
             drawn = _draw(layout, projection, weight, draws, seed)
             if file is not None:
                 _save(file, drawn)
@@ -237,7 +240,9 @@ def _lengths2(draws: Single) -> Single:
 
 def _key(layout: Layout, projection: Projection, draws: int, seed: int) -> str:
     """A hash of all that a null depends on."""
-    digest = hashlib.sha256(f"{draws} {seed} {layout.members} {list(layout.places)}".encode())
+    digest = hashlib.sha256(
+        f"{draws} {seed} {SCALE_PRIOR_SD} {HELD_SD} {layout.members} {list(layout.places)}".encode()
+    )
     for matrix in (layout.cells, layout.sums):
         digest.update(matrix.indptr.tobytes() + matrix.indices.tobytes())
     for spectrum in layout.spectra:
@@ -247,10 +252,26 @@ def _key(layout: Layout, projection: Projection, draws: int, seed: int) -> str:
     return digest.hexdigest()
 
 
-def _save(file: Path, energies: Single) -> None:
-    """Written whole or not at all."""
-    file.parent.mkdir(parents=True, exist_ok=True)
+def _loaded(file: Path, shape: tuple[int, int]) -> Single | None:
+    """What a file keeps; None where there is none, or none that is whole."""
+    try:
+        drawn: Single = np.load(file)
+    except (OSError, EOFError, ValueError):
+        return None
+    return drawn if drawn.shape == shape and drawn.dtype == np.float32 else None
+
+
+def _save(file: Path, drawn: Single) -> None:
+    """Written whole or not at all, and not at all where the folder cannot be written; the oldest files go."""
     part = file.with_name(f"{file.name}.{np.random.default_rng().integers(1 << 62):x}.part")
-    with part.open("wb") as stream:
-        np.save(stream, energies)
-    part.replace(file)
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        with part.open("wb") as stream:
+            np.save(stream, drawn)
+        part.replace(file)
+        kept = sorted(file.parent.glob("null-*"), key=lambda one: one.stat().st_mtime)
+        for one in kept[:-_MOST_KEPT]:
+            one.unlink(missing_ok=True)
+    except OSError:  # it can be drawn again
+        with suppress(OSError):
+            part.unlink()

@@ -221,5 +221,6 @@ def _shot(
     p, text = counted_p(drawn.largest_in(shot, rows), max(float(drawn.of_groups.z(energies)[rows, 0].max()), peak))
     cells = next(group for group in layout.groups if group.shot == shot and group.family == CELLS)
     pixels = layout.cells[cells.rows].indices
-    worst = next(region for region in regions if region.shot == shot)
+    nowhere = Region(CELLS, shot, "nowhere", 0.0, 0.0)  # where the fit takes all that there is
+    worst = next((region for region in regions if region.shot == shot), nowhere)
     return ShotFound(p, text, float(-ndtri(min(p, LARGEST_P))), float(np.mean(residual[pixels] ** 2)), worst)

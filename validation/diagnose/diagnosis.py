@@ -62,11 +62,11 @@ def diagnosed(
         return _step(ground, [one for one in effects if one.name not in present], means, seed, level)
 
     steps: list[Step] = []
-    while len(steps) < MOST_STEPS:
+    while True:
         step = step_on(ground)
         steps.append(step)
         fit = step.leads_to
-        if fit is None or step.best.p_left >= level / 2.0:
+        if fit is None or step.best.p_left >= level / 2.0 or len(steps) == MOST_STEPS:
             break
         ground = means.ground_of(fit)
     part = _as_part(steps[0], len(effects), level)

@@ -167,5 +167,6 @@ def _next(proposals: Sequence[Proposal]) -> dict[str, Any] | None:
     best = proposals[0]
     return {
         "sample": best.sample.model_dump(mode="json", exclude_defaults=True), "words": best.words,
-        "expected_sigma": best.expected_sigma, "now_sigma": best.now_sigma, "stanza": best.document()["stanza"],
+        "exposure_ratio": best.exposure_ratio, "expected_sigma": best.expected_sigma, "now_sigma": best.now_sigma,
+        "stanza": best.document()["stanza"],
     }  # fmt: skip

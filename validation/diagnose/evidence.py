@@ -7,29 +7,34 @@ the one unknown: integrated over, with its members normal about off.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 Real = NDArray[np.float64]
 
-
-def log_evidence(drop: float, known: Iterable[tuple[float, float, float]]) -> float:
-    """Of a single effect: chi2 falls by `drop`; of each of its parameters error, lower and upper end of its range."""
-    costs = [np.log((upper - lower) / (np.sqrt(2.0 * np.pi) * error)) for error, lower, upper in known]
-    return 0.5 * drop - float(np.sum(costs))
+SHARES = np.geomspace(1e-4, 1.0, 400)
+"""Of the largest spread of a group that is tried: close enough for what 25 chips know of theirs, to a tenth."""
 
 
-def group_log_evidence(products: Real, gram: Real, largest: float, points: int = 60) -> float:
+def log_evidence(drop: float, covariance: Real, ranges: Sequence[tuple[float, float]]) -> float:
+    """Of a single effect: chi2 falls by `drop`; of its parameters the covariance and the ends of their ranges."""
+    _, log = np.linalg.slogdet(2.0 * np.pi * covariance)
+    return 0.5 * drop + 0.5 * float(log) - float(np.sum([np.log(upper - lower) for lower, upper in ranges]))
+
+
+def group_log_evidence(products: Real, gram: Real, largest: float) -> float:
     """Of a group: products (member,) of its columns with the residual, and of its columns with each other.
 
     Members are normal with a spread s; s is as likely anywhere from 0 to `largest`.
     """
     size, axes = np.linalg.eigh(gram)
-    logs = logs_of_spreads(axes.T @ products, np.maximum(size, 0.0), largest * (np.arange(points) + 0.5) / points)
-    peak = float(logs.max())
-    return peak + float(np.log(np.mean(np.exp(logs - peak))))
+    spreads = largest * np.concatenate([[0.0], SHARES])
+    logs = logs_of_spreads(axes.T @ products, np.maximum(size, 0.0), spreads)
+    peak, steps = float(logs.max()), np.diff(spreads) / largest
+    heights = np.exp(logs - peak)
+    return peak + float(np.log(np.sum(0.5 * steps * (heights[1:] + heights[:-1]))))
 
 
 def logs_of_spreads(along: Real, size: Real, spreads: Real) -> Real:
@@ -45,7 +50,7 @@ def drawn_back(rows: Real, residual: Real, largest: float) -> tuple[float, Real,
     """
     size, axes = np.linalg.eigh(rows @ rows.T)
     size, along = np.maximum(size, 0.0), axes.T @ (rows @ residual)
-    spreads = largest * np.geomspace(1e-4, 1.0, 400)
+    spreads = largest * SHARES
     logs = logs_of_spreads(along, size, spreads)
     best = float(spreads[int(np.argmax(logs))])
     return best, axes @ (best**2 * along / (1.0 + best**2 * size)), float(logs.max())

@@ -37,7 +37,7 @@ class HeldOut:
     rows: Rows
     """Their numbers among all rows."""
     rms_percent: float
-    """Of the mean signal (of a curve: of its mean value), all folds together."""
+    """Of the images, over their mean signal, all folds together; where there are none of the curves, likewise."""
     floor_percent: float
     """The same of noise alone."""
 
@@ -64,8 +64,7 @@ def held_out(fit: Fit, folds: Sequence[tuple[str, Rows]]) -> HeldOut:
     """The errors of a fit in each fold (name, rows left out). ValueError without folds."""
     if not folds:
         raise ValueError("held-out error without folds")
-    plain = _plain(fit)
-    residual, columns, noise, level = plain
+    residual, columns, noise, level = _plain(fit)
     left, order = [], []
     shared = np.array([not _is_nuisance(name, fit) for name in fit.names], bool)
     for _, rows in folds:
@@ -78,12 +77,14 @@ def held_out(fit: Fit, folds: Sequence[tuple[str, Rows]]) -> HeldOut:
         left.append(there - own.T @ np.linalg.lstsq(own.T, there, rcond=None)[0] if len(own) else there)
         order.append(rows)
     rows, after = np.concatenate(order), np.concatenate(left)
+    told = rows < (fit.whitening.count or len(residual))
+    noise = noise[rows[told]]
     return HeldOut(
         tuple(name for name, _ in folds),
         after,
         rows,
-        100.0 * float(np.sqrt(np.mean((after * noise[rows]) ** 2))) / level,
-        100.0 * float(np.sqrt(np.mean(noise[rows] ** 2))) / level,
+        100.0 * float(np.sqrt(np.mean((after[told] * noise) ** 2))) / level,
+        100.0 * float(np.sqrt(np.mean(noise**2))) / level,
     )
 
 
@@ -163,7 +164,8 @@ def _is_nuisance(name: str, fit: Fit) -> bool:
 
 
 def _plain(fit: Fit) -> tuple[Real, Real, Real, float]:
-    """Residual and columns by each row's own noise alone; that noise in DN (or a curve's unit); the mean level.
+    """Residual and columns by each row's own noise alone; that noise in DN (or a curve's unit); the mean level of
+    the images, without any that of the curves.
 
     The fit's own rows cannot be used: whitening mixes the images of one camera.
     """
@@ -180,7 +182,7 @@ def _plain(fit: Fit) -> tuple[Real, Real, Real, float]:
     residual, columns = at.residual(white), at.columns(white)
     sigma = [1.0 / w[image.used] for w, image in zip(weights, images, strict=True)]
     noise = np.concatenate([*sigma, *fit.whitening.curve_sigma])
-    levels += [float(np.mean(np.abs(curve.value))) for curve in fit.problem.curves]
+    levels = levels or [float(np.mean(np.abs(curve.value))) for curve in fit.problem.curves]
     return residual, columns, noise, float(np.mean(levels))
 
 

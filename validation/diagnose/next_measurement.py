@@ -50,13 +50,15 @@ class Proposal:
     exposure_ratio: float
     expected_sigma: float
     now_sigma: float
+    is_there: bool = False
+    """Whether the sample is one of those that were measured."""
 
     def document(self) -> dict[str, Any]:
         """As plain values, with the stanza for the manifest."""
         return {
             "words": self.words, "sample": self.sample.model_dump(mode="json", exclude_defaults=True),
             "exposure_ratio": self.exposure_ratio, "expected_sigma": self.expected_sigma,
-            "now_sigma": self.now_sigma, "stanza": stanza(self.sample),
+            "now_sigma": self.now_sigma, "stanza": stanza(self.sample, self.is_there, self.exposure_ratio),
         }  # fmt: skip
 
 
@@ -80,14 +82,18 @@ class Rivals:
         prior_sd = np.array([p.prior_sd for p in self.fit.problem.unknowns.parameters if p.name in paths])
         now = _separation([here], prior_sd, usable)
         found = []
-        candidates = list(candidates_of([image.sample for image in self.fit.problem.images]))
+        samples = [image.sample for image in self.fit.problem.images]
+        candidates, measured = list(candidates_of(samples)), {one.id for one in samples}
         for number, (words, sample, exposure) in enumerate(candidates):
             heard(number / len(candidates), words)
             try:
                 there = self._there(sample, exposure, usable, paths)
-            except (InputError, RemoteError):  # a sample that cannot be built is no proposal
+            except (InputError, RemoteError) as error:  # a sample that cannot be built is no proposal
+                if isinstance(error, RemoteError) and error.failure.code != "bad_input":
+                    raise
                 continue
-            found.append(Proposal(words, sample, exposure, _separation([here, there], prior_sd, usable), now))
+            sigma = _separation([here, there], prior_sd, usable)
+            found.append(Proposal(words, sample, exposure, sigma, now, sample.id in measured))
         return sorted(found, key=lambda one: -one.expected_sigma)
 
     @property
@@ -179,10 +185,10 @@ def candidates_of(samples: Sequence[Sample]) -> Iterator[tuple[str, Sample, floa
                 words = f"{base.layout}, {f'{count:g} pairs' if count else 'no DBR'}, D = {distance / 1000.0:.2f} mm"
                 name = f"next-{base.layout}-{count:g}-{distance:g}".replace(".", "_")
                 sample = base.model_copy(update={"id": name, "dbr_pairs": count, "distance_um": distance})
-                repeat = any(_same(sample, one) for one in samples)
-                if (words, repeat) not in seen:
-                    seen.add((words, repeat))
-                    yield (f"{words} (a repeat)" if repeat else words), sample, 1.0
+                there = next((one for one in samples if _same(sample, one)), None)
+                if (words, there is None) not in seen:
+                    seen.add((words, there is None))
+                    yield (words if there is None else f"{words} (a repeat)"), there or sample, 1.0
     base = arrays[0]
     yield f"{base.id} again at {EXPOSURES:g} times the exposure (or frames)", base, EXPOSURES
 
@@ -202,13 +208,21 @@ def next_in_words(proposals: Sequence[Proposal], *, images: bool = True) -> str:
     return f"Take one image: {best.words}: {expected}."
 
 
-def stanza(sample: Sample) -> str:
-    """What to fill into dataset.toml once the image is taken."""
-    lines = ["[[samples]]"]
+def stanza(sample: Sample, is_there: bool, exposure_ratio: float = 1.0) -> str:
+    """What to fill into dataset.toml once the image is taken; of a sample that `is_there`, only a shot more."""
+    lines, shot = [], f"further-{sample.id}" if is_there else sample.id
+    if not is_there:
+        lines = ["[[samples]]", *_as_toml(sample), ""]
+    exposure = "exposure_ms = 0.0  # fill in"
+    if exposure_ratio != 1.0:
+        exposure += f": {exposure_ratio:g} times that of {sample.id}, or frames_averaged = {exposure_ratio:g}"
+    lines += ["[[shots]]", f'id = "{shot}"', 'kind = "image"', f'sample = "{sample.id}"']
+    return "\n".join([*lines, f'file = "images/{shot}.tif"', exposure, ""])
+
+
+def _as_toml(sample: Sample) -> Iterator[str]:
     for name, value in sample.model_dump(mode="json", exclude_none=True).items():
-        lines.append(f'{name} = "{value}"' if isinstance(value, str) else f"{name} = {value}")
-    lines += ["", "[[shots]]", f'id = "{sample.id}"', 'kind = "image"', f'sample = "{sample.id}"']
-    return "\n".join([*lines, f'file = "images/{sample.id}.tif"', "exposure_ms = 0.0  # fill in", ""])
+        yield f'{name} = "{value}"' if isinstance(value, str) else f"{name} = {value}"
 
 
 def _separation(rows: Sequence[Rows], prior_sd: Real, usable: Sequence[Refitted]) -> float:

@@ -19,8 +19,8 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import gammaincc, gammaln, ndtri_exp
 from scipy.stats import chi2 as chi2_of
-from scipy.stats import norm
 
 from luxloop.effect import EffectParameter, EffectSpec, Value
 from validation.contrasts.null import Projection
@@ -28,6 +28,7 @@ from validation.contrasts.null import Projection
 Real = NDArray[np.float64]
 
 DRAWS = 10_000
+SMALLEST = 1e-280
 VANISHED = 1e-9
 """Share of a column's square below which the fit's own parameters can do all that it does."""
 
@@ -219,9 +220,16 @@ def _score(one: Candidate, products: Real, gram: Real, left: float, root: float)
         z = float(products[0]) / length
         return Score(one, z, z / length * root, root / length, left)
     z = _group_z(products[:, None], gram)[0]
-    mean = float(np.trace(gram)) / len(gram)
-    spread2 = max(float(products @ products) / len(gram) - mean, 0.0) / (float(np.sum(gram**2)) / len(gram))
-    return Score(one, float(z), float(np.sqrt(spread2)) * root, root / float(np.sqrt(np.sum(gram**2) / mean)), left)
+    spread, error = _spread(products, gram)
+    return Score(one, float(z), spread * root, error * root, left)
+
+
+def _spread(products: Real, gram: Real) -> tuple[float, float]:
+    """The rms of a group's members and its error, from the energy of its products: tr G + s^2 tr G^2 on average."""
+    length2 = float(np.sum(gram**2))
+    square = max(float(products @ products - np.trace(gram)), 0.0) / length2
+    of_square = float(np.sqrt(2.0 * np.sum((gram + square * gram @ gram) ** 2))) / length2
+    return float(np.sqrt(square)), float(np.sqrt(square + of_square) - np.sqrt(square))
 
 
 def _group_z(products: Real, gram: Real) -> Real:
@@ -232,11 +240,16 @@ def _group_z(products: Real, gram: Real) -> Real:
     """
     mean, variance = float(np.trace(gram)), 2.0 * float(np.sum(gram**2))
     freedom, factor = 2.0 * mean**2 / variance, variance / (2.0 * mean)
-    return np.asarray(norm.isf(np.exp(_log_sf(np.sum(products**2, axis=0) / factor, freedom))))
+    return np.asarray(-ndtri_exp(_log_sf(np.sum(products**2, axis=0) / factor, freedom)))
 
 
 def _log_sf(value: Real, freedom: float) -> Real:
-    return np.asarray(np.maximum(chi2_of.logsf(value, freedom), -700.0))
+    """ln of the chance that a chi2 is larger; where that is too small for a number, by its continued fraction."""
+    shape, half = 0.5 * freedom, 0.5 * value
+    chance = gammaincc(shape, half)
+    some = np.maximum(half, shape + 1.0)
+    far = shape * np.log(some) - some - gammaln(shape) - np.log(some + 1.0 - shape)
+    return np.asarray(np.where(chance > SMALLEST, np.log(np.maximum(chance, SMALLEST)), far))
 
 
 def _null(projected: Projected, draws: int, seed: int) -> Real:

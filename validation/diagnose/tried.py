@@ -234,9 +234,11 @@ def _log_evidence(ground: Ground, found: Refitted, drop: float, columns: Real) -
         _, upper = limits_of(candidate.parameter)
         return group_log_evidence(columns @ ground.fit.residual, columns @ columns.T, upper)
     tried = (candidate, *candidate.others)
-    errors = [found.error] if found.fit is None else [found.fit.error(path) for path in found.paths]
-    known = [(error, *limits_of(one.parameter)) for error, one in zip(errors, tried, strict=True)]
-    return log_evidence(drop, known) if all(0.0 < error < np.inf for error, *_ in known) else None
+    covariance = np.array([[found.error**2]]) if found.fit is None else found.fit.covariance_of(found.paths)
+    known = np.diag(covariance)
+    if not np.all((known > 0.0) & np.isfinite(known)):
+        return None
+    return log_evidence(drop, covariance, [limits_of(one.parameter) for one in tried])
 
 
 def _held_out(

@@ -16,8 +16,9 @@
 A rival explains nearly as much where its share is within 0.1 of the best. Where shares are known to no better than
 0.15, where it lowers chi2 by 0.8 as much, or where noise may have put the other first.
 
-The largest gain always blames somebody; so what decides is the share explained, the error in data that the fit has
-not seen, and whether rivals can be told apart. Chi2 only ranks.
+The largest gain always blames somebody; so what decides is the share explained, what is left, and whether rivals can
+be told apart. Chi2 only ranks; the error in data that the fit has not seen is told beside, and decides nothing: of
+true effects, too, it rises in some (docs/figures.md, "Blind test").
 """
 
 from __future__ import annotations

@@ -79,6 +79,11 @@ class Fit:
         index = self.names.index(name)
         return float(np.sqrt(self.covariance[index, index]))
 
+    def covariance_of(self, names: Sequence[str]) -> Real:
+        """The covariance (parameter, parameter) of some of them."""
+        index = [self.names.index(name) for name in names]
+        return np.asarray(self.covariance[np.ix_(index, index)])
+
     @property
     def correlation(self) -> Real:
         """Correlations of all parameters; 0 beside one that has no error."""

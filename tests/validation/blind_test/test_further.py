@@ -75,6 +75,20 @@ def test_a_further_image_is_of_the_same_truth(folder: Path, tmp_path: Path) -> N
     assert np.corrcoef(mirror.ravel(), once_more.ravel())[0, 1] > 0.95  # the same image, but for its place
 
 
+def test_a_repeat_is_one_frame_of_a_sample_that_is_there(folder: Path, tmp_path: Path) -> None:
+    """It adds a shot and no sample; so many frames as the verdict says, none of them less."""
+    said = json.loads((folder / VERDICTS / "set-2.json").read_text())["next_measurement"]
+    for ratio, name in ((1.0, "once"), (4.0, "longer")):
+        change(folder / VERDICTS / "set-2.json", next_measurement=said | {"exposure_ratio": ratio})
+        chained(folder, ("set-1", "set-2", "set-3"))
+        for opened_set in (folder / "opened").glob("*.json"):
+            opened_set.unlink()  # the chain was written anew
+        measure(folder, tmp_path / name)
+        manifest = read_dataset(tmp_path / name / SETS / "set-2").manifest
+        assert len(manifest.samples) == 2
+        assert manifest.images()[2].frames_averaged == ratio
+
+
 def test_further_images_of_one_truth_have_noise_of_their_own(folder: Path, tmp_path: Path) -> None:
     """Three sets of one light that ask for the same image: the frames shared their noise, bit for bit."""
     mirror = json.loads((folder / VERDICTS / "set-2.json").read_text())["next_measurement"]["sample"]

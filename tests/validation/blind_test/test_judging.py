@@ -19,6 +19,7 @@ from validation.blind_test.judging import Judge, Shared, SharedDiagnosing, Share
 from validation.blind_test.records import record_path
 from validation.blind_test.seals import seal
 from validation.comparing import Solver
+from validation.diagnose.ground import Ground
 from validation.diagnosing import Diagnosing
 from validation.observed import Observed
 from validation.prediction import Anchored
@@ -90,3 +91,17 @@ def test_a_further_set_of_a_light_ends_where_a_fit_of_its_own_does_with_fewer_qu
     again, afresh = engine(SharedDiagnosing, 2, shared=shared)
     again.fitted(MODEL)
     assert afresh.asked > fewer.asked
+
+
+def test_the_structure_of_a_further_set_is_that_of_the_first_sets_contrasts() -> None:
+    """Other poses put other pixels into a ring; its variance and its null are of those of the first set."""
+    solver, shared, known = Solver(None), Shared("a"), cast("Any", SimpleNamespace(specs=[]))
+    grounds: list[Ground] = []
+    for seed in (1, 2):
+        observed = Observed(tuple(two_images(seed)), (), (), {})
+        engine: Any = SharedDiagnosing(MODEL, observed, Spots(), known, solver, PATHS, shared=shared)
+        grounds.append(engine.ground(engine.fitted(MODEL)))
+    first, second = grounds
+    assert second.null is first.null
+    again = second.judged(second.fit.residual)
+    assert (second.structure.statistic, second.structure.where) == (again.statistic, again.where)

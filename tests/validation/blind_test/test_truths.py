@@ -57,6 +57,14 @@ def test_truths_are_drawn_within_the_priors() -> None:
     assert 0.0 < abs(found[0].poses[0].shift_row_px) < 3.0
 
 
+def test_a_prior_outside_of_where_truths_are_drawn_is_refused() -> None:
+    """Instead of being drawn from for ever."""
+    path = "environment.substrate.reflectance"
+    near = PAPER.fit[path].model_copy(update={"lower": 0.0, "upper": 1.0, "prior_mean": 0.99, "prior_sd": 0.01})
+    with pytest.raises(InputError, match=r"got '0.99 \+- 0.01', allowed: a prior with room between 0.1 and 0.9"):
+        truth_of(0, PAPER.model_copy(update={"fit": PAPER.fit | {path: near}}), 6, seed=2)
+
+
 def test_the_blind_forward_model_takes_the_paper() -> None:
     """Surroundings, samples, camera in its own words; what it has not is refused."""
     at = surroundings_of(PAPER)

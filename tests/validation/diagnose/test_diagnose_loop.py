@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from luxloop.effect import AppliedEffect
+from luxloop.errors import InputError
 from luxloop.journal.reader import RunJournal
 from luxloop.model_file import find_model, read_model, to_toml
 from luxloop.settings import Settings
 from tests.running_set import local_set
 from tests.validation.test_loop import luxloop
+from validation.diagnose_command import keep, rivals_of
 
 PLAN = """
 name = "two samples"
@@ -131,6 +134,21 @@ def test_a_hidden_effect_is_named_added_and_taken_out_again(settings: Settings, 
         assert [effect.name for effect in read_model(tmp_path / "model.toml").effects] == ["vignetting"]
     replayed(settings, tmp_path, found["folder"], "2", "3")
     replayed(settings, tmp_path, added["folder"], "2", "3", "4")
+
+
+def test_what_a_diagnosis_told_apart_is_no_rival(tmp_path: Path) -> None:
+    """`next` without names takes what could not be told apart; one effect may have others that explain as much."""
+    file = tmp_path / "model.toml"
+    file.write_text(to_toml(find_model("paper")), encoding="utf-8")
+    kept = {"sentence": "", "set": ["vignetting", "camera_psf"], "dataset_sha256": "0" * 64}
+    subject: Any = SimpleNamespace(file=str(file))
+    for verdict in ("cannot_tell_apart", "one_effect"):
+        keep(subject, kept | {"verdict": verdict, "model_sha256": find_model(str(file)).sha256})
+        if verdict == "cannot_tell_apart":
+            assert rivals_of(str(file)) == ["vignetting", "camera_psf"]
+            continue
+        with pytest.raises(InputError, match="it said one_effect"):
+            rivals_of(str(file))
 
 
 @pytest.mark.parametrize(

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import tomllib
+from collections.abc import Sequence
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
 
 from luxloop.effect import AppliedEffect
+from luxloop.errors import RemoteError
+from luxloop.failure import Failure
 from luxloop.model import Model
 from tests.validation.analytic import ARRAY, MODEL, PATHS, blank
 from tests.validation.analytic import SINGLE as SINGLE_CHIP
@@ -59,6 +63,53 @@ def test_what_is_expected_of_an_image_counts_the_noise_of_monte_carlo() -> None:
         hidden, hidden_now = expected[1.0][words]
         assert hidden < 0.5 * then
         assert hidden_now < 0.5 * now
+
+
+def rivals_about(predictor: Affected) -> Rivals:
+    """Two ripples that look alike, on three samples."""
+    base = fit(MODEL, data("ripple", 1, 0.05), predictor, free=PATHS)
+    refits = [
+        Refitted(Candidate(one, one.parameters[0], (), np.zeros((1, 1))), 0.05, 0.01, base.residual, 0.0, False,
+                 MODEL, base)
+        for one in (spec("ripple"), spec("ripple_like"))
+    ]  # fmt: skip
+    return Rivals(base, refits, predictor, frozenset())  # type: ignore[arg-type]  # it predicts as a predictor does
+
+
+@pytest.mark.parametrize(("code", "told"), [("bad_input", True), ("no_worker", False)])
+def test_lost_workers_are_no_reason_against_an_image(code: Literal["bad_input", "no_worker"], told: bool) -> None:
+    """A sample that cannot be built is passed over; without workers there is no answer, and so no proposal."""
+
+    class Losing(Affected):
+        def images(self, model: Model, views: Sequence[View], *more: Any) -> Any:
+            if any(view.sample.id.startswith("next-") for view in views):
+                raise RemoteError(Failure(code=code, message="made up"))
+            return super().images(model, views, *more)
+
+    rivals = rivals_about(Losing())
+    if told:
+        assert all(one.is_there for one in rivals.proposals())
+        return
+    with pytest.raises(RemoteError, match="made up"):
+        rivals.proposals()
+
+
+def test_what_is_proposed_can_be_written_into_the_manifest() -> None:
+    """Of another sample itself and its image; of one that is there an image more, under a name of its own."""
+    images, ids = data("ripple", 1, 0.05), set[str]()
+    written = {one.sample.id for one in images}
+    proposals = rivals_about(Affected()).proposals()
+    assert {one.is_there for one in proposals} == {True, False}
+    for one in proposals:
+        manifest = tomllib.loads(one.document()["stanza"])
+        assert [each["id"] for each in manifest.get("samples", [])] == ([] if one.is_there else [one.sample.id])
+        (shot,) = manifest["shots"]
+        assert (one.sample.id in written) == one.is_there
+        assert shot["sample"] == one.sample.id
+        assert shot["id"] not in {each.shot.id for each in images} | written
+        assert shot["file"] == f"images/{shot['id']}.tif"
+        ids.add(shot["id"])
+    assert any("4 times that of" in one.document()["stanza"] for one in proposals)
 
 
 def test_a_proposal_that_will_not_do_says_so() -> None:

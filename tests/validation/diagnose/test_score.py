@@ -98,6 +98,37 @@ def test_a_group_is_found_by_its_energy_and_not_in_one_member() -> None:
     assert found.effects[0].best.size == pytest.approx(np.sqrt(np.mean(sizes**2)), rel=0.3)
 
 
+def test_a_loud_group_is_not_outrun_by_effects_that_take_less() -> None:
+    """Where no number is small enough for the chance of its energy, it still counts in full."""
+    members = np.array([column(seed) for seed in range(20, 26)])
+    hidden = np.array([3.0, -2.0, 4.0, -3.0, 2.5, -3.5]) @ members
+    half = 0.7 * hidden + 200.0 * column(60)
+    tried = [candidate("all", members, group=True), candidate("half", half)]
+    found = scores(Projected.of(tried, PROJECTION), PROJECTION.residual(hidden))
+    by_name = {one.name: one.best.drop for one in found.effects}
+    assert found.effects[0].name == "all"
+    assert by_name["all"] == pytest.approx(float(np.sum(PROJECTION.residual(hidden) ** 2)), rel=0.1)
+    assert 1400.0 < by_name["half"] < by_name["all"]
+
+
+def test_the_error_of_a_spread_is_how_far_it_scatters() -> None:
+    """Of 300 draws of members and noise, for a spread far above the noise and one of none."""
+    members = np.array([column(seed) for seed in range(20, 32)])
+    projected = Projected.of([candidate("all", members, group=True)], PROJECTION)
+    random = np.random.default_rng(11)
+    for spread in (0.1, 0.0):
+        found = [
+            scores(projected, PROJECTION.residual(spread * random.standard_normal(12) @ members) + noise(k), draws=10)
+            for k in range(300)
+        ]
+        sizes, errors = (
+            np.array([getattr(one.effects[0].best, name) for one in found]) for name in ("size", "error")
+        )
+        if spread:
+            assert np.median(errors) == pytest.approx(np.std(sizes), rel=0.25)
+        assert np.mean(np.abs(sizes - spread) < 2.0 * errors) > 0.85
+
+
 def test_groups_of_alike_effects_are_boxed() -> None:
     """Cosine 0.99 and -0.99 are one group; an orthogonal one stands alone; signs are kept."""
     a, b = column(1), column(2)
