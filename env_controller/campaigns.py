@@ -7,8 +7,10 @@ a journal, which comes from the writer's: what both touch is guarded by a lock.
 from __future__ import annotations
 
 import heapq
+import logging
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -26,7 +28,7 @@ from luxloop.bus.keys import HOLD_S
 from luxloop.campaign import Action, Begin, Begun, Cut, End, Ended, Note, Step
 from luxloop.errors import LuxloopError, RemoteError
 from luxloop.failure import Code, Failure
-from luxloop.journal.journal import Journal
+from luxloop.journal.journal import Done, Journal
 from luxloop.journal.topics import (
     Close,
     Record,
@@ -40,7 +42,10 @@ from luxloop.journal.topics import (
 )
 from luxloop.messages import Nothing, Outcome, Receipt, Task
 
+log = logging.getLogger(__name__)
+
 SILENT_S = 120.0  # a designer not heard of for so long has gone: its run is closed
+FULL_S = 60.0  # a journal that has had no room for so long ends its run
 BEST_MAPS = 100  # of a grid run, those whose maps are kept
 FINISHED = 64  # runs whose end is told again to who asks again
 
@@ -63,6 +68,14 @@ class LaneDoor:
     until_s: float = 0.0
 
 
+class Unwritten(NamedTuple):
+    """Records that the journal had no room for, since when, and whom to tell that they are on the disk."""
+
+    records: list[Record]
+    done: Done
+    since_s: float
+
+
 @dataclass
 class OpenRun:
     """A run between its begin and its end."""
@@ -75,6 +88,8 @@ class OpenRun:
     on_record: int = 0  # steps that its journal held when it was opened
     best: list[float] = field(default_factory=list)  # heap of a grid's best uniformities
     error: LuxloopError | None = None
+    unwritten: deque[Unwritten] = field(default_factory=deque)
+    """In the order in which they are to be put; nothing goes past them."""
 
 
 class Campaigns:
@@ -159,6 +174,7 @@ class Campaigns:
     def note(self, asked: Asked, note: Note) -> None:
         """Put on record what a designer wants there; answered once it is on the disk."""
         run = self._open(note.run, note.designer)
+        _catch_up(run)
 
         def done(error: LuxloopError | None) -> None:
             asked.reply(_failure(error) if error else Receipt(accepted=True))
@@ -176,22 +192,34 @@ class Campaigns:
         if ended is None and end.run not in self._runs:
             ended = ended_before(self._folder / end.run, end)
         if ended is None:
-            self._open(end.run, end.designer)
+            _catch_up(self._open(end.run, end.designer))
             ended = self._close(end.run, Close(end.reason, end.complete))
         asked.reply(ended)
 
-    def ended(self, result: Result) -> None:
-        """A task that was wanted here has ended."""
-        outcome = result.outcome
-        event = a.Ended(time.monotonic(), result.task.id, outcome.result, outcome.failure, outcome.compute_s)
-        self._perform(self.agent.handle(event), result)
+    def ended(self, task: Task, frame: bytes) -> None:
+        """A task that was wanted here has ended; the runs that cannot take what came of it are closed."""
+        runs = self.agent.wanting(task.id)
+        try:
+            result = result_of(task, frame)
+            outcome = result.outcome
+            event = a.Ended(time.monotonic(), task.id, outcome.result, outcome.failure, outcome.compute_s)
+            self._perform(self.agent.handle(event), result)
+        except Exception as error:
+            log.exception("the runs %s could not take what came of the task %s", runs, task.id)
+            why = f"what came of the task {task.id} could not be taken: {Failure.of(error).message}"
+            for name in runs:
+                self._close(name, _stopped(why[:1000]), lost=True, code="crashed")
 
     def tick(self, now_s: float) -> None:
-        """Let go of questions whose hold is over, and of runs whose designer has gone.
+        """Write what waits, let go of questions whose hold is over, and of runs that cannot go on.
 
         One that is silent and lives computes, or waits for a worker: a fit with Monte Carlo says nothing for minutes.
         """
         for name, run in list(self._runs.items()):
+            _write(run)
+            if run.unwritten and now_s - run.unwritten[0].since_s > FULL_S:
+                self._close(name, _stopped(f"its journal had no room for {FULL_S:g} s"), lost=True)
+                continue
             with self._lock:
                 for lane in run.lanes.values():
                     if lane.asked is not None and now_s > lane.until_s:
@@ -279,10 +307,16 @@ class Campaigns:
                 for step in steps:
                     self._answer(run.lanes[step.lane], error, step)
 
-        try:
-            run.journal.put(records, done)
-        except LuxloopError as error:
-            done(error)
+        run.unwritten.append(Unwritten(records, done, time.monotonic()))
+        _write(run)
+
+    def _let_go(self, run: OpenRun, failure: Failure) -> None:
+        """Tell who waits in a run's lanes that nothing comes any more."""
+        with self._lock:
+            for lane in run.lanes.values():
+                if lane.asked is not None:
+                    lane.asked.reply(failure)
+                    lane.asked = None
 
     @staticmethod
     def _answer(lane: LaneDoor, error: LuxloopError | None, step: Step) -> None:
@@ -295,14 +329,13 @@ class Campaigns:
             lane.asked = None
 
     def _close(self, name: str, close: Close, *, lost: bool = False, code: Code = "refused") -> Ended:
-        """End a run: nothing more is computed for it, its journal is finished; who waits is told so with `code`."""
+        """End a run: nothing more is computed for it, its journal is finished; who waits is told so with `code`.
+
+        That is last, for another controller may open the run from then on.
+        """
         run = self._runs.pop(name)
         self._perform(self.agent.handle(a.Closed(time.monotonic(), name)))
-        with self._lock:
-            for lane in run.lanes.values():
-                if lane.asked is not None:
-                    lane.asked.reply(Failure(code=code, message=f"the run {name!r} is closed, {close.line}"))
-                    lane.asked = None
+        _write(run)
         try:
             run.journal.put([log_record(close.line, run.sequence, time.time_ns())], lambda _: None)
             mark = run.journal.finish()
@@ -312,12 +345,35 @@ class Campaigns:
             mark = None
         finally:
             run.journal.close()
+            message, mend = f"the run {name!r} is closed, {close.line}", f"luxloop campaign resume {name}"
+            self._let_go(run, Failure(code=code, message=message, mend=mend, where="controller"))
         ended = Ended(run=name, records=mark.records if mark else 0, root=mark.root if mark else "0" * 64,
                       folder=str((self._folder / name).resolve()))  # fmt: skip
         self._finished[name] = run.begin.designer, ended
         while len(self._finished) > FINISHED:
             del self._finished[next(iter(self._finished))]
         return ended
+
+
+def _write(run: OpenRun) -> None:
+    """Have the journal take what waits for it, in order; what it has no room for goes on waiting."""
+    while run.unwritten:
+        records, done, _ = run.unwritten[0]
+        try:
+            run.journal.put(records, done)
+        except LuxloopError as error:
+            if _failure(error).code == "busy":
+                return
+            done(error)
+        run.unwritten.popleft()
+
+
+def _catch_up(run: OpenRun) -> None:
+    """Raises RemoteError busy where the journal has no room yet for what must go before that which comes now."""
+    _write(run)
+    if run.unwritten:
+        message = f"too much waits for the disk of {run.journal.folder}"
+        raise RemoteError(Failure(code="busy", message=message, mend="try again later", where="controller"))
 
 
 def result_of(task: Task, frame: bytes) -> Result:

@@ -17,7 +17,7 @@ from uuid import uuid4
 
 from env_controller import events as e
 from env_controller.actions import Want
-from env_controller.campaigns import Campaigns, result_of
+from env_controller.campaigns import Campaigns
 from env_controller.outcomes import Results, failure_of, other_release
 from env_controller.roster import GONE_S, Roster
 from env_controller.scheduler import Scheduler
@@ -38,7 +38,7 @@ from luxloop.words import Words
 log = logging.getLogger(__name__)
 
 TICK_S = 0.25
-ORPHAN_S = 30.0  # a task that nobody has asked about for so long is withdrawn
+ORPHAN_S = 30.0  # who has not asked again for so long has gone; a task that nobody else wants is withdrawn
 QUESTIONS = ("submit", "withdraw", "status", "hello", "pull", "done", "begin", "act", "note", "end")
 STARTING_S = 300.0  # how long a run waits for a worker to appear: one that starts compiles for a minute
 FINAL = ("bad_input", "too_large", "unknown_effect", "not_found", "version")  # another attempt would not mend these
@@ -54,11 +54,11 @@ class Waiting(NamedTuple):
 
 @dataclass
 class Wanted:
-    """A task somebody waits for: the lease's contents, who holds a question open, when it was last asked for."""
+    """A task somebody waits for: the lease's contents, when each asker was last heard, who holds a question open."""
 
     task: m.Task
     limit_s: float
-    asked_s: float
+    heard_s: dict[str, float] = field(default_factory=dict)  # by asker, for HOLD_S + ORPHAN_S
     waiting: list[Waiting] = field(default_factory=list)
     by_runs: bool = False  # the environment-control agent wants it, too
 
@@ -85,7 +85,10 @@ class Dispatcher:
         self._started_s = time.monotonic()
 
     def run(self, stop: threading.Event) -> None:
-        """Serve until `stop` is set. Raises RemoteError where another controller already serves this realm."""
+        """Serve until `stop` is set; whatever ends it, every journal is finished.
+
+        Raises RemoteError where another controller already serves this realm, or a later one takes it over.
+        """
         realm = self._settings.realm
         if self._bus.present(at(realm, "alive", role="controller")):
             raise RemoteError(
@@ -101,6 +104,12 @@ class Dispatcher:
         self._bus.watch(at(realm, "alive", role="worker"), self._inbox)
         self._bus.announce(at(realm, "alive", role="controller", kind="controller", name=self.epoch))
         self._bus.watch(at(realm, "alive", role="controller"), self._inbox)
+        try:
+            self._serve(stop)
+        finally:
+            self._campaigns.stop()
+
+    def _serve(self, stop: threading.Event) -> None:
         next_tick_s = 0.0
         while not stop.is_set():
             event = self._inbox.take(TICK_S)
@@ -109,7 +118,6 @@ class Dispatcher:
             if time.monotonic() >= next_tick_s:
                 self._tick()
                 next_tick_s = time.monotonic() + TICK_S
-        self._campaigns.stop()
 
     def take(self, event: Event) -> None:
         """Handle one thing that arrived; whatever is wrong with it is answered, and the controller goes on."""
@@ -193,9 +201,10 @@ class Dispatcher:
                 return
             # refused here where it would be too large to hand out
             encode(m.Lease(task=task, attempt=10**9, epoch=self.epoch, limit_s=submit.limit_s))
-            self._wanted[task.id] = Wanted(task, submit.limit_s, now)
+            self._wanted[task.id] = Wanted(task, submit.limit_s)
         wanted = self._wanted[task.id]
-        wanted.asked_s = now
+        wanted.limit_s = max(wanted.limit_s, submit.limit_s)
+        wanted.heard_s[submit.asker] = now
         wanted.waiting.append(Waiting(now + HOLD_S, submit.asker, asked))
         group = group_of(task)
         wish = e.Submitted(
@@ -210,8 +219,8 @@ class Dispatcher:
         if finished is not None:
             self._ended.append((task, finished))
             return
-        wanted = self._wanted.setdefault(task.id, Wanted(task, c.LIMIT_S, now))
-        wanted.by_runs = True
+        wanted = self._wanted.setdefault(task.id, Wanted(task, c.LIMIT_S))
+        wanted.limit_s, wanted.by_runs = max(wanted.limit_s, c.LIMIT_S), True
         self._perform(
             self.core.handle(
                 e.Submitted(now, task.id, task.kind, STARTING_S, c.LIMIT_S, want.run, want.group, want.ahead)
@@ -219,11 +228,11 @@ class Dispatcher:
         )
 
     def _unwant(self, task_id: str) -> None:
-        """No run wants the task any longer; it ends where no client waits for it."""
+        """No run wants the task any longer; it ends where no client does."""
         wanted = self._wanted.get(task_id)
         if wanted is not None:
             wanted.by_runs = False
-            if not wanted.waiting:
+            if not wanted.heard_s:
                 self._perform(self.core.handle(e.Withdrawn(time.monotonic(), task_id)))
 
     def _lives(self, designer: str) -> bool:
@@ -237,20 +246,22 @@ class Dispatcher:
         """Tell the runs what came of the tasks they wanted, which may make them want more."""
         while self._ended:
             task, frame = self._ended.popleft()
-            self._campaigns.ended(result_of(task, frame))
+            self._campaigns.ended(task, frame)
 
     def _withdraw(self, asked: Asked, withdraw: m.Withdraw) -> None:
-        """One asker takes back its wish; the task ends when nobody else waits for it."""
+        """One asker takes back its wish; the task ends when nobody else has been heard to want it.
+
+        Who was told Pending a moment ago holds no question open, and is about to ask again.
+        """
         wanted = self._wanted.get(withdraw.task_id)
-        mine = [waiting for waiting in wanted.waiting if waiting.asker == withdraw.asker] if wanted else []
-        if wanted is None or not mine:
+        if wanted is None or wanted.heard_s.pop(withdraw.asker, None) is None:
             asked.reply(m.Receipt(accepted=False, reason="this asker does not wait for such a task"))
             return
-        if len(mine) == len(wanted.waiting) and not wanted.by_runs:
+        if not wanted.heard_s and not wanted.by_runs:
             self._perform(self.core.handle(e.Withdrawn(time.monotonic(), withdraw.task_id)))
         else:
-            wanted.waiting = [waiting for waiting in wanted.waiting if waiting not in mine]
-            for waiting in mine:
+            for waiting in [waiting for waiting in wanted.waiting if waiting.asker == withdraw.asker]:
+                wanted.waiting.remove(waiting)
                 waiting.asked.reply(Failure(code="cancelled", message="withdrawn by its asker"))
         asked.reply(m.Receipt(accepted=True))
 
@@ -286,7 +297,7 @@ class Dispatcher:
             return
         wanted = self._wanted.get(outcome.task_id)
         if wanted is not None and outcome.failure is None:
-            outcome = sound(wanted.task.kind, outcome, arrays)
+            outcome = sound(wanted.task, outcome, arrays)
         self._delivery, self._failure = reframe(asked.frame, outcome), outcome.failure
         verdict = "done" if outcome.failure is None else "refused" if outcome.failure.code in FINAL else "crashed"
         reason = outcome.failure.text() if outcome.failure else ""
@@ -324,7 +335,9 @@ class Dispatcher:
             for waiting in [waiting for waiting in wanted.waiting if now > waiting.until_s]:
                 wanted.waiting.remove(waiting)
                 waiting.asked.reply(self._pending(task_id))
-            if not wanted.waiting and not wanted.by_runs and now - wanted.asked_s > HOLD_S + ORPHAN_S:
+            for asker in [asker for asker, s in wanted.heard_s.items() if now - s > HOLD_S + ORPHAN_S]:
+                del wanted.heard_s[asker]
+            if not wanted.heard_s and not wanted.by_runs:
                 self._perform(self.core.handle(e.Withdrawn(now, task_id)))
         self._tell_runs()
         self._campaigns.tick(now)

@@ -61,24 +61,30 @@ class EnvironmentAgent:
         """What happened to an action, one line each, oldest first."""
         return list(self._stories.get((run, lane, number), []))
 
+    def wanting(self, task_id: str) -> list[str]:
+        """The runs that wait for a task, or want it ahead of time."""
+        waiting = [trial.run for trial in self._trials.get(task_id, ())]
+        return list(dict.fromkeys([*waiting, *(run for run, _ in self._ahead.get(task_id, ()))]))
+
     def _opened(self, event: a.Opened) -> list[Command]:
         self.runs[event.plan.run] = Run(event.plan, event.past)
         return []
 
     def _closed(self, event: a.Closed) -> list[Command]:
+        """What that run alone waited for or wanted ahead is of no use any more."""
         self.runs.pop(event.run, None)
-        commands: list[Command] = []
-        for task_id, trials in list(self._trials.items()):
-            self._trials[task_id] = [trial for trial in trials if trial.run != event.run]
-            if not self._trials[task_id]:
-                del self._trials[task_id]
-                commands.append(a.Unwant(task_id))
-        for task_id, wishes in list(self._ahead.items()):
-            self._ahead[task_id] = {wish for wish in wishes if wish[0] != event.run}
-            if not self._ahead[task_id]:
-                del self._ahead[task_id]
-                commands.append(a.Unwant(task_id))
-        return commands
+        wanted = dict.fromkeys([*self._trials, *self._ahead])
+        self._trials = {
+            task_id: waiting
+            for task_id, trials in self._trials.items()
+            if (waiting := [trial for trial in trials if trial.run != event.run])
+        }
+        self._ahead = {
+            task_id: left
+            for task_id, wishes in self._ahead.items()
+            if (left := {wish for wish in wishes if wish[0] != event.run})
+        }
+        return [a.Unwant(task_id) for task_id in wanted if not self.wanting(task_id)]
 
     def _acted(self, event: a.Acted) -> list[Command]:
         action = event.action
@@ -185,10 +191,9 @@ class EnvironmentAgent:
         return [a.Want(trial.run, trial.ray_task, group=film.sha256 if film else "")]
 
     def _ended(self, event: a.Ended) -> list[Command]:
+        commands: list[Command] = [a.Record(run, event.task_id) for run in self.wanting(event.task_id)]
         trials = self._trials.pop(event.task_id, [])
         ahead = self._ahead.pop(event.task_id, set())
-        runs = list(dict.fromkeys([*(trial.run for trial in trials), *(run for run, _ in ahead)]))
-        commands: list[Command] = [a.Record(run, event.task_id) for run in runs if run in self.runs]
         if any(trial.ray_task is None for trial in trials) or ahead:
             self._keep_film(event, trials, ahead)
         for trial in trials:

@@ -4,10 +4,11 @@
                    ^         |
                    +---------+   the worker left, fell silent, crashed, ran over the limit, or handed it back
 
-An attempt that ended badly is tried again elsewhere, up to `attempts` times; then the task is set aside with the
-history of its attempts. A delivery counts only from the holder of a lease, with its attempt and epoch: everything
-older is fenced. When nothing else waits, the slowest task is hedged: an idle worker gets it too, under a lease of its
-own, and whoever delivers first ends it. `story` tells what happened to a task.
+An attempt that ended badly is tried again elsewhere, where a worker is listed that has not failed in it, up to
+`attempts` times; then the task is set aside with the history of its attempts. A delivery counts only from the holder
+of a lease, with its attempt and epoch: everything older is fenced. When nothing else waits, the slowest task is
+hedged: an idle worker gets it too, under a lease of its own, and whoever delivers first ends it. `story` tells what
+happened to a task.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 from env_controller import events as e
 from env_controller.hedging import Durations
@@ -24,6 +25,14 @@ from env_controller.waiting import Queue
 STORIES = 1000  # finished tasks whose story is kept
 GROUPS = 64  # of a worker that are remembered: as many fields by Monte Carlo as it keeps
 BETWEEN_S = 0.25  # a worker that has delivered asks again within milliseconds; so long it is waited for
+
+
+class Failed(NamedTuple):
+    """An attempt that ended badly: whose, and why."""
+
+    attempt: int
+    worker: str
+    why: str
 
 
 @dataclass
@@ -39,7 +48,7 @@ class TaskRecord:
     group: str = ""
     ahead: bool = False
     attempt: int = 0  # leases given so far: fences old ones
-    failures: list[str] = field(default_factory=list)
+    failures: list[Failed] = field(default_factory=list)
     story: list[str] = field(default_factory=list)
 
 
@@ -121,6 +130,7 @@ class Scheduler:
         if event.task_id in self.tasks:
             task = self.tasks[event.task_id]
             task.patience_s = max(task.patience_s, event.patience_s)
+            task.limit_s = max(task.limit_s, event.limit_s)
             if task.ahead and not event.ahead:
                 task.share, task.ahead = event.share, False
                 if task.task_id in self.ready.get(task.kind, ()):
@@ -164,7 +174,7 @@ class Scheduler:
             return False
         self._take_out(task)
         self.leases[task_id] = LeaseRecord(task_id, event.worker, attempt, event.at_s)
-        task.failures = [said for said in task.failures if not said.startswith(f"attempt {attempt}:")]
+        task.failures = [failed for failed in task.failures if failed.attempt != attempt]
         self._tell(task, event.at_s, f"attempt {attempt} goes on with {event.worker}")
         return True
 
@@ -225,8 +235,6 @@ class Scheduler:
     def _tick(self, event: e.Tick) -> list[e.Command]:
         commands: list[e.Command] = []
         for lease in self._all_leases():
-            if self._lease(lease.task_id, lease.worker, lease.attempt) is None:
-                continue  # its task ended with the other lease, a moment ago
             worker, task = self.workers[lease.worker], self.tasks[lease.task_id]
             if event.at_s - worker.heard_s > self.silence_s:
                 why, code = f"{lease.worker} was silent for {event.at_s - worker.heard_s:.1f} s", "worker_lost"
@@ -275,10 +283,18 @@ class Scheduler:
         task's; else the one given."""
         found, since = poll, GROUPS
         for other, name in self.polls.items():
-            groups = self.workers[name].groups
-            if task.group in groups[:since] and self._is_free(other, task.kind, at_s):
+            worker = self.workers[name]
+            groups = worker.groups
+            if task.group in groups[:since] and self._is_free(other, task.kind, at_s) and self._may(task, worker):
                 found, since = other, groups.index(task.group)
         return found
+
+    def _may(self, task: TaskRecord, worker: WorkerRecord) -> bool:
+        """Whether a worker may have a task: it has not failed in it, or so has every other one that is listed."""
+        failed = {one.worker for one in task.failures}
+        return worker.worker not in failed or not any(
+            other.kind == task.kind and name not in failed for name, other in self.workers.items()
+        )
 
     def _is_free(self, poll: int, kind: str, at_s: float) -> bool:
         """Whether the worker of a poll could take a task of a kind."""
@@ -300,11 +316,12 @@ class Scheduler:
     def _next(self, worker: WorkerRecord) -> TaskRecord | None:
         """The task whose turn it is, taken out of its queue."""
         queue = self.ready.get(worker.kind)
-        if queue is None:
+        group = worker.groups[0] if worker.groups else ""
+        task_id = queue.take(group, lambda one: self._may(self.tasks[one], worker)) if queue else None
+        if task_id is None:
             return None
-        task = self.tasks[queue.take(worker.groups[0] if worker.groups else "")[0]]
-        self._take_out(task)
-        return task
+        self._take_out(self.tasks[task_id])
+        return self.tasks[task_id]
 
     def _slow(self, worker: WorkerRecord, at_s: float) -> TaskRecord | None:
         """The task that has run longest of those that are slow, run once, and with another worker."""
@@ -318,6 +335,7 @@ class Scheduler:
             and at_s - lease.granted_s > limit_s
             and lease.worker != worker.worker
             and lease.task_id not in self.hedges
+            and self._may(self.tasks[lease.task_id], worker)
         ]
         longest = min(slow, key=lambda lease: lease.granted_s, default=None)
         return self.tasks[longest.task_id] if longest else None
@@ -374,9 +392,9 @@ class Scheduler:
     def _requeue(
         self, lease: LeaseRecord, at_s: float, why: str, *, blame: bool = True, code: str = "worker_lost"
     ) -> list[e.Command]:
-        """Take a lease back; the task is ready again, or set aside when it has been tried often enough.
+        """Take a lease back; the task is ready again, or set aside when it has failed often enough.
 
-        Where it was hedged, the other lease goes on alone.
+        Where it was hedged, the other lease goes on alone, whatever came of this one.
         """
         other = self.hedges.pop(lease.task_id, None)
         if other is None:
@@ -386,11 +404,11 @@ class Scheduler:
         task = self.tasks[lease.task_id]
         self._tell(task, at_s, f"attempt {lease.attempt}: {why}")
         if blame:
-            task.failures.append(f"attempt {lease.attempt}: {why}")
-        if len(task.failures) >= self.attempts:
-            return self._end(task, at_s, code)
+            task.failures.append(Failed(lease.attempt, lease.worker, why))
         if other is not None:
             return []
+        if blame and len(task.failures) >= self.attempts:
+            return self._end(task, at_s, code)
         self.counts["requeued"] += 1
         task.since_s = at_s
         self._make_ready(task)
@@ -420,7 +438,8 @@ class Scheduler:
         self._stories[task.task_id] = task.story
         while len(self._stories) > STORIES:
             self._stories.popitem(last=False)
-        finish = e.Finish(task.task_id, code, tuple(task.failures))  # type: ignore[arg-type]  # codes come from above
+        history = tuple(f"attempt {one.attempt}: {one.why}" for one in task.failures)
+        finish = e.Finish(task.task_id, code, history)  # type: ignore[arg-type]  # codes come from above
         return [*(e.Stop(lease.worker, lease.task_id, lease.attempt) for lease in others), finish]
 
     @staticmethod

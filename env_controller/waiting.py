@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 from luxloop.messages import Task
 from luxloop.words import sha256_of
@@ -43,27 +43,30 @@ class Queue:
             line.move_to_end(task_id, last=False)
         self._line[task_id] = line
 
-    def take(self, group: str = "") -> tuple[str, str]:
-        """The task whose turn it is, for a worker that had `group` last, and its group. Raises KeyError if none."""
-        if self._again:
-            task_id = next(iter(self._again))
-        elif self._shares:
-            share, line = next(iter(self._shares.items()))
-            self._shares.move_to_end(share)
-            oldest = next(iter(line))
-            past = self._overtaken.get(oldest, 0)
-            ahead = range(LOOK_AHEAD if group and past < LOOK_AHEAD - 1 else 0)
-            alike = (task for _, (task, own) in zip(ahead, line.items(), strict=False) if own == group)
-            task_id = next(alike, oldest)
-            if task_id != oldest:
-                self._overtaken[oldest] = past + 1
-        elif self._ahead:
-            task_id = next(iter(self._ahead))
-        else:
-            raise KeyError("no task waits")
-        taken = self._line[task_id][task_id]
-        self.discard(task_id)
-        return task_id, taken
+    def take(self, group: str = "", may: Callable[[str], bool] = lambda _: True) -> str | None:
+        """The task whose turn it is, for a worker that had `group` last; None where there is none for it.
+
+        `may` says of a task that came back whether that worker may have it.
+        """
+        task_id = next(filter(may, self._again), None)
+        if task_id is None:
+            task_id = self._next_new(group) if self._shares else next(iter(self._ahead), None)
+        if task_id is not None:
+            self.discard(task_id)
+        return task_id
+
+    def _next_new(self, group: str) -> str:
+        """Of the share whose turn it is."""
+        share, line = next(iter(self._shares.items()))
+        self._shares.move_to_end(share)
+        oldest = next(iter(line))
+        past = self._overtaken.get(oldest, 0)
+        ahead = range(LOOK_AHEAD if group and past < LOOK_AHEAD - 1 else 0)
+        alike = (task for _, (task, own) in zip(ahead, line.items(), strict=False) if own == group)
+        task_id = next(alike, oldest)
+        if task_id != oldest:
+            self._overtaken[oldest] = past + 1
+        return task_id
 
     def discard(self, task_id: str) -> None:
         """Take a task out of its line; nothing happens where it does not wait."""

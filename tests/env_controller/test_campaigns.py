@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,7 +15,7 @@ import pytest
 from env_controller import campaigns
 from env_controller.dispatcher import Dispatcher
 from luxloop import __version__
-from luxloop.bus import Asked
+from luxloop.bus import Asked, Presence
 from luxloop.bus.frame import decode, encode
 from luxloop.bus.keys import HOLD_S, at
 from luxloop.campaign import Action, AgentRecord, Begin, Begun, End, Ended, Fidelity, Move, Note, Plan, Step
@@ -104,7 +105,7 @@ class Desk:
             arrays = {"map_lx": np.full((4, 4), 7.0)} if kind == "ray" and arrays is None else arrays
         done = Done(
             worker=worker, kind=kind, attempt=lease.attempt, epoch=lease.epoch,
-            outcome=Outcome(task_id=outcome.pop("task_id", lease.task.id), worker=worker, compute_s=0.1, **outcome),
+            outcome=Outcome(**{"task_id": lease.task.id, "worker": worker, "compute_s": 0.1} | outcome),
         )  # fmt: skip
         return self.put("done", done, arrays, kind=kind).message
 
@@ -270,10 +271,14 @@ def test_two_runs_at_once_have_their_own_journals(desk: Desk, tmp_path: Path) ->
         ({"metrics": {"uniformity": {"value": 0.5}}}, None),
         ({"metrics": {"uniformity": {"value": 0.5, "standard_error": 0.1}}, "ledger_defect": 0.1}, None),
         (None, {"map_lx": np.array([[1.0, np.nan]])}),
+        (None, {"map_lx": np.array([[1.0, 1e39]])}),
+        (None, {"map_lx": np.ones(4)}),
+        (None, {}),
+        ({"histories": 7}, {"map_lx": np.ones((4, 4))}),
     ],
 )
 def test_an_answer_that_cannot_be_is_tried_again_elsewhere(desk: Desk, result: Any, arrays: Any) -> None:
-    """Uniformity out of range or missing, an open ledger, NaN in the map: the third time it is a failed step."""
+    """Uniformity out of range or missing, an open ledger, NaN in the map or none: the third time the step failed."""
     desk.begin()
     question = desk.act()
     desk.work("film")
@@ -287,6 +292,64 @@ def test_an_answer_that_cannot_be_is_tried_again_elsewhere(desk: Desk, result: A
     assert "does not hold" in step.failure.message
     desk.uniformity = 0.8
     assert desk.evaluated(1, move=Move(variable="width_um", steps=1)).failure is None
+
+
+@pytest.mark.parametrize(
+    "result",
+    [
+        {"table_bytes": 9},
+        {"table_sha256": "f" * 64},
+        {"table_sha256": "F" * 64, "table_bytes": 9},
+        {"table_sha256": "f" * 64, "table_bytes": 0},
+        {"table_sha256": "f" * 64, "table_bytes": 1 << 40},
+        {"table_sha256": 7, "table_bytes": 9},
+    ],
+)
+def test_a_film_without_its_table_is_an_answer_that_cannot_be(desk: Desk, result: dict[str, Any]) -> None:
+    """No hash, no size, or none that a table has: that worker's answer does not hold, and the run goes on."""
+    desk.begin()
+    question = desk.act()
+    for _ in range(3):
+        assert question.message is None
+        assert isinstance(desk.work("film", result), Receipt)
+    step = question.wait()
+    assert isinstance(step, Step)
+    assert step.failure is not None
+    assert "the answer of film-1 does not hold" in step.failure.message
+    assert desk.evaluated(1, design=DESIGN).failure is None
+
+
+def test_nothing_is_computed_in_less_than_no_time(desk: Desk) -> None:
+    """Such an answer does not hold; the next one may."""
+    desk.begin()
+    question = desk.act()
+    desk.work("film", compute_s=-1.0)
+    desk.work("film")
+    desk.work("ray", compute_s=-1.0)
+    desk.work("ray")
+    step = question.wait()
+    assert isinstance(step, Step)
+    assert step.physics_s == pytest.approx(0.2)
+
+
+def test_what_a_run_cannot_take_closes_it_and_the_controller_goes_on(
+    desk: Desk, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Something of ours is broken: who waits is told so, the journal is finished, other runs are not touched."""
+    desk.begin()
+    desk.begin(plan("two"))
+    question = desk.act()
+    with monkeypatch.context() as patched:
+        patched.setattr(desk.controller._campaigns.agent, "_keep_film", lambda *_: 1 / 0)
+        assert desk.work("film") == Receipt(accepted=True)
+    failure = refusal(question.message)
+    assert (failure.code, failure.mend) == ("crashed", "luxloop campaign resume one")
+    assert "ZeroDivisionError" in failure.message
+    assert (tmp_path / "runs" / "one" / "audit.sha256").exists()
+    assert desk.controller._campaigns.runs == ("two",)
+    other = desk.act(run="two")
+    assert desk.work("ray") is not None
+    assert isinstance(other.wait(), Step)
 
 
 def test_another_tasks_result_is_not_taken(desk: Desk) -> None:
@@ -320,6 +383,71 @@ def test_a_full_disk_ends_the_run_and_keeps_what_was_told(
     assert refusal(desk.end()).message == failure.message
     steps = [record.value for record in written(tmp_path) if record.topic == "/step"]
     assert steps[0] == told
+
+
+class Crowded:
+    """A journal that is said to have no room, for as long as `full` is set."""
+
+    def __init__(self, desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.full = True
+        journal = desk.controller._campaigns._runs["one"].journal
+        self._put = journal.put
+        monkeypatch.setattr(journal, "put", self.put)
+
+    def put(self, records: Any, done: Any) -> None:
+        if self.full:
+            raise RemoteError(Failure(code="busy", message="too much waits for the journal's disk"))
+        self._put(records, done)
+
+
+@pytest.mark.parametrize("by", ["the next tick", "the next note"])
+def test_what_the_journal_has_no_room_for_is_written_later(
+    desk: Desk, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, by: str
+) -> None:
+    """In its order, before anything else is acknowledged: nothing is told meanwhile, nothing is lost."""
+    desk.begin()
+    journal = Crowded(desk, monkeypatch)
+    question, other = desk.act(), desk.act(lane=1, design=DESIGN.model_copy(update={"width_um": 40.0}))
+    for kind in ("film", "ray", "ray"):
+        desk.work(kind)
+    note = Note(run="one", designer="d", log="later")
+    assert refusal(desk.put("note", note, name="one").message).code == "busy"
+    assert refusal(desk.end()).code == "busy"
+    assert (question.message, other.message) == (None, None)
+    journal.full = False
+    if by == "the next tick":
+        desk.controller._campaigns.tick(time.monotonic())
+    else:
+        assert desk.put("note", note, name="one").wait() == Receipt(accepted=True)
+    told = [question.wait(), other.wait()]
+    assert desk.put("note", note, name="one").wait() == Receipt(accepted=True)
+    assert isinstance(desk.evaluated(1, move=Move(variable="width_um", steps=1)), Step)
+    assert isinstance(desk.end(), Ended)
+    records = written(tmp_path)
+    topics = [record.topic for record in records if record.topic != "/chain"]
+    assert topics[:4] == ["/request/film", "/reply/film", "/request/ray", "/reply/ray"]
+    assert [record.value for record in records if record.topic == "/step"][:2] == told
+    assert topics.index("/step") < topics.index("/log")
+
+
+def test_a_journal_without_room_for_long_closes_its_run(
+    desk: Desk, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Who waits is told that for good, and how to go on; what was told before is on record."""
+    desk.begin()
+    before = desk.evaluated(0)
+    Crowded(desk, monkeypatch)
+    desk.act(1, move=Move(variable="width_um", steps=1))
+    desk.work("ray")
+    desk.controller._campaigns.tick(time.monotonic() + campaigns.FULL_S - 1.0)
+    assert desk.controller._campaigns.runs == ("one",)
+    question = desk.act(1, move=Move(variable="width_um", steps=1))  # the hold of the first one is over
+    desk.controller._campaigns.tick(time.monotonic() + campaigns.FULL_S + 1.0)
+    failure = refusal(question.message)
+    assert (failure.code, failure.mend) == ("refused", "luxloop campaign resume one")
+    assert "no room" in failure.message
+    assert desk.controller._campaigns.runs == ()
+    assert [record.value for record in written(tmp_path) if record.topic == "/step"] == [before]
 
 
 def test_a_folder_that_cannot_be_written_is_refused_at_the_begin(tmp_path: Path) -> None:
@@ -400,6 +528,26 @@ def test_a_controller_that_stops_finishes_its_journals(desk: Desk, tmp_path: Pat
     desk.evaluated(0)
     desk.controller._campaigns.stop()
     assert (tmp_path / "runs" / "one" / "audit.sha256").exists()
+
+
+def test_a_controller_that_is_taken_over_from_finishes_its_journals(desk: Desk, tmp_path: Path) -> None:
+    """Whatever ends it; and who waits is told only when the next one may open the run."""
+    desk.begin()
+    side_file = tmp_path / "runs" / "one" / "audit.sha256"
+    told: list[tuple[Words, bool]] = []
+
+    def answer(frame: bytes) -> None:
+        told.append((decode(frame).message, side_file.exists()))
+
+    action = Action(run="one", designer="d", lane=0, number=0, design=DESIGN)
+    desk.controller.take(Asked(at("luxloop", "act", name="one"), encode(action), answer, lambda: None))
+    later = at("luxloop", "alive", role="controller", kind="controller", name="z")
+    desk.controller._inbox.offer(Presence(later, alive=True))
+    with pytest.raises(RemoteError, match="has taken over"):
+        desk.controller.run(threading.Event())
+    ((message, finished),) = told
+    assert refusal(message).code == "not_found"
+    assert finished
 
 
 def test_a_finalist_has_its_line_on_record(desk: Desk, tmp_path: Path) -> None:

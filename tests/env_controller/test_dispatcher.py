@@ -6,11 +6,13 @@ from typing import Any
 
 import pytest
 
+from env_controller.actions import Want
 from env_controller.dispatcher import ORPHAN_S, Dispatcher
 from luxloop import __version__
 from luxloop.bus import Asked, Event, Heard, Presence
 from luxloop.bus.frame import HEADER_BYTES, decode, encode
 from luxloop.bus.keys import HOLD_S, at
+from luxloop.campaign import LIMIT_S
 from luxloop.errors import RemoteError
 from luxloop.failure import Failure
 from luxloop.messages import (
@@ -151,6 +153,23 @@ def test_predictions_about_one_anchor_go_to_the_worker_that_has_it(desk: Desk) -
     assert isinstance(waits.message, Lease)
 
 
+def test_the_longest_limit_that_was_asked_for_counts(desk: Desk) -> None:
+    """A run wants for a day what a client has asked for with 10 s; an impatient third one changes nothing."""
+    desk.submit(limit_s=10.0)
+    desk.controller._want(Want("one", TASK))
+    desk.submit(asker="third", limit_s=1.0)
+    desk.hello()
+    lease = desk.pull().message
+    assert isinstance(lease, Lease)
+    assert lease.limit_s == LIMIT_S
+    other = desk.submit(OTHER, limit_s=10.0)
+    desk.submit(OTHER, asker="another", limit_s=20.0)
+    desk.hello("w2")
+    second = desk.pull("w2").message
+    assert isinstance(second, Lease)
+    assert (second.limit_s, other.message) == (20.0, None)
+
+
 def test_a_fresh_wish_is_computed_again(desk: Desk) -> None:
     """A finished result is not given to one who asks for a fresh computation."""
     desk.hello()
@@ -215,6 +234,44 @@ class TestWithdrawing:
         late = desk.done().message
         assert isinstance(late, Receipt)
         assert not late.accepted
+
+    def test_one_who_is_about_to_ask_again_still_waits(self, desk: Desk) -> None:
+        """Told Pending a moment ago it holds no question open; the other's leaving does not stop its computation."""
+        desk.hello()
+        first = desk.submit()
+        desk.pull()
+        desk.wait(HOLD_S + 0.5)
+        assert isinstance(first.message, Pending)
+        desk.hello()  # and a token: it is not silent
+        theirs = desk.submit(asker="them")
+        assert desk.put("withdraw", Withdraw(task_id=TASK.id, asker="them")).message == Receipt(accepted=True)
+        assert isinstance(theirs.message, Failure)
+        assert desk.told == []
+        again = desk.submit()
+        desk.done()
+        assert isinstance(again.message, Outcome)
+        assert again.message.failure is None
+
+    def test_a_run_that_no_longer_wants_it_leaves_it_to_who_is_about_to_ask_again(self, desk: Desk) -> None:
+        """The run is closed between two questions of a client."""
+        desk.hello()
+        desk.submit()
+        desk.controller._want(Want("one", TASK))
+        desk.pull()
+        desk.wait(HOLD_S + 0.5)
+        desk.controller._unwant(TASK.id)
+        assert desk.told == []
+        desk.wait(ORPHAN_S + 0.5)
+        assert TASK.id not in desk.controller.core.tasks  # nor does the client any more
+
+    def test_one_may_leave_between_two_questions(self, desk: Desk) -> None:
+        """Told Pending it does not ask again, but takes its wish back: the task ends."""
+        desk.hello()
+        desk.submit()
+        desk.pull()
+        desk.wait(HOLD_S + 0.5)
+        assert desk.put("withdraw", Withdraw(task_id=TASK.id, asker="me")).message == Receipt(accepted=True)
+        assert isinstance(desk.told[-1][1], Cancel)
 
     def test_a_task_nobody_asks_about_is_dropped(self, desk: Desk) -> None:
         """A client that was killed does not come back: its task does not wait for ever."""

@@ -241,6 +241,27 @@ def test_a_closed_run_wants_nothing_more() -> None:
     assert story.ray(ray) == []
 
 
+@pytest.mark.parametrize(("closed", "left"), [("waits", "ahead"), ("ahead", "waits")])
+def test_a_film_that_another_run_wants_is_not_given_back(closed: str, left: str) -> None:
+    """One waits for it, the other wants it ahead of time: it is of use until both are closed, whichever is first."""
+    story = Story(plan("waits"), plan("ahead"))
+    near = story.act(run="ahead", design=DESIGN.model_copy(update={"dbr_pairs": 5.0}))
+    film = wanted(story.act(run="waits", design=DESIGN), "film")
+    assert any(c.task.id == film.task.id and c.ahead for c in near if isinstance(c, a.Want))
+    assert a.Unwant(film.task.id) not in story.agent.handle(a.Closed(1.0, closed))
+    assert a.Record(left, film.task.id) in story.film(film)
+
+
+def test_what_several_runs_wanted_is_given_back_once() -> None:
+    """With the last of them."""
+    story = Story(plan("one"), plan("two"))
+    story.act(run="one", design=DESIGN.model_copy(update={"dbr_pairs": 5.0}))
+    film = wanted(story.act(run="two", design=DESIGN), "film")
+    commands = [command for run in ("one", "two") for command in story.agent.handle(a.Closed(1.0, run))]
+    assert commands.count(a.Unwant(film.task.id)) == 1
+    assert len(commands) == len(set(map(str, commands)))
+
+
 def test_a_blocked_move_says_again_what_is_known_of_the_lane() -> None:
     """Uniformity with its error; after a failed evaluation nothing is known, so it fails, too."""
     story = Story()

@@ -86,6 +86,20 @@ def test_a_task_over_its_limit_is_taken_away() -> None:
     assert A in story.core.ready["film"]
 
 
+def test_the_limit_of_a_task_is_the_longest_that_was_asked_for() -> None:
+    """A campaign's task that a client has asked for before, with little patience."""
+    story = Story()
+    story.join()
+    story.submit(limit_s=10.0)
+    story.poll()
+    story.submit(limit_s=100.0)
+    story.submit(limit_s=1.0)
+    for second in range(1, 101):
+        story.core.handle(e.Beat(float(second), "w1"))
+        assert story.core.handle(e.Tick(float(second))) == []
+    assert story.core.handle(e.Tick(100.5)) == [e.Stop("w1", A, 1)]
+
+
 def test_a_poison_task_is_set_aside_after_three_attempts() -> None:
     """Three workers die of a task; it ends as failed with the history of all three, and no fourth gets it."""
     story = Story(attempts=3)
@@ -109,6 +123,78 @@ def test_a_crash_is_tried_again_and_a_refusal_is_not() -> None:
     assert crashed.deliver(verdict="crashed") == [e.Receive("w1", A, 1, accepted=True)]
     assert A in crashed.core.ready["film"]
     assert e.Finish(A, "refused") in refused.deliver(verdict="refused")
+
+
+class TestElsewhere:
+    """What a worker failed in is not given to it again while another one of its kind is listed."""
+
+    def test_it_waits_for_the_other_one(self) -> None:
+        """However busy that is; meanwhile the one that failed gets what else there is."""
+        story = Story().leased("w2", B)
+        story.leased("w1", A)
+        story.deliver("w1", A, verdict="crashed")
+        assert story.poll("w1") == []
+        assert story.submit("c" * 64) == [e.Grant(story.polls, "w1", "c" * 64, 1)]
+        story.deliver("w2", B)
+        assert story.poll("w2") == [e.Grant(story.polls, "w2", A, 2)]
+
+    def test_one_broken_worker_fails_no_task(self) -> None:
+        """It fails in each of them once, as fast as it can; the other one, which takes its time, in none."""
+        story, tasks = Story(attempts=3), [f"{number:064x}" for number in range(5)]
+        story.leased("good", B)
+        story.join("broken")
+        for task in tasks:
+            story.submit(task)
+            assert story.granted("broken") == task
+            story.deliver("broken", task, verdict="crashed")
+        assert story.poll("broken") == []
+        story.deliver("good", B)
+        found = []
+        for _ in tasks:
+            found.append(story.granted("good"))
+            story.deliver("good", found[-1], attempt=2)
+        assert sorted(found) == tasks
+        assert (story.core.counts["done"], story.core.counts["failed"]) == (6, 0)
+
+    def test_where_all_have_failed_any_may_try_again(self) -> None:
+        """And alone a worker gets it at once."""
+        story = Story(attempts=4).leased()
+        story.deliver(verdict="crashed")
+        assert story.poll("w1") == [e.Grant(story.polls, "w1", A, 2)]
+        story.join("w2")
+        story.deliver("w1", attempt=2, verdict="crashed")
+        assert story.granted("w2") == A
+        story.deliver("w2", attempt=3, verdict="crashed")
+        assert story.poll("w1") == [e.Grant(story.polls, "w1", A, 4)]
+
+    def test_it_is_given_back_when_the_other_one_has_gone(self) -> None:
+        """The next tick gives it to who waits."""
+        story = Story().leased()
+        story.join("w2")
+        story.deliver(verdict="crashed")
+        assert story.poll("w1") == []
+        story.core.handle(e.Left(0.0, "w2"))
+        assert story.core.handle(e.Tick(0.25)) == [e.Grant(story.polls, "w1", A, 2)]
+
+    def test_not_even_where_it_has_its_group(self) -> None:
+        """Of two that wait the one that had the anchor is preferred, but not for what it failed in."""
+        story = Story()
+        story.join("w1")
+        story.submit(A, group="anchor")
+        story.poll("w1")
+        story.join("w2")
+        story.deliver("w1", verdict="crashed")
+        assert story.poll("w1") == []
+        assert story.poll("w2") == [e.Grant(story.polls, "w2", A, 2)]
+
+    def test_who_comes_back_with_it_has_not_failed(self) -> None:
+        """Its link was cut: once it is handed back, the same worker may have it."""
+        story = Story().leased()
+        story.join("w2")
+        story.core.handle(e.Left(0.0, "w1"))
+        story.join("w1", (A, 1))
+        story.core.handle(e.HandedBack(0.0, "w1", A, 1, "e1"))
+        assert story.poll("w1") == [e.Grant(story.polls, "w1", A, 2)]
 
 
 def test_a_result_of_an_earlier_epoch_is_fenced() -> None:

@@ -29,7 +29,9 @@ class FaultyWorld:
         self.accepted: Counter[str] = Counter()
 
     def send(self, event: e.Event) -> None:
-        for command in self.core.handle(event):
+        commands = self.core.handle(event)
+        self.check_tries(commands)
+        for command in commands:
             if isinstance(command, e.Grant) and self.random.random() > 0.1:  # one grant in ten is lost on the way
                 self.in_hand.setdefault(command.worker, set()).add((command.task_id, command.attempt))
             if isinstance(command, e.Finish):
@@ -53,6 +55,13 @@ class FaultyWorld:
         assert all(name in core.workers for name in core.polls.values()), "a poll of a lost worker"
         for task, times in self.wanted.items():
             assert self.ended[task] + (task in core.tasks) == times, "a task was lost or ended twice"
+
+    def check_tries(self, commands: list[e.Command]) -> None:
+        """Who failed in a task gets it again only where all others have, too."""
+        for command in commands:
+            if isinstance(command, e.Grant) and command.task_id in self.core.tasks:
+                failed = {one.worker for one in self.core.tasks[command.task_id].failures}
+                assert command.worker not in failed or set(self.core.workers) <= failed, "tried again by the same"
 
     def step(self) -> None:
         self.now += self.random.choice([0.0, 0.01, 0.5, 3.0])

@@ -85,6 +85,42 @@ def test_of_two_leases_one_may_be_lost(lost: str) -> None:
     assert A in story.core.ready["film"]
 
 
+@pytest.mark.parametrize(("crashed", "goes_on"), [(("w1", 1), ("w2", 2)), (("w2", 2), ("w1", 1))])
+def test_no_task_ends_while_another_lease_of_it_runs(crashed: tuple[str, int], goes_on: tuple[str, int]) -> None:
+    """Its last attempt failed here and goes on there: it is done if that is, and only then set aside if not."""
+    for verdict, code in (("done", "done"), ("crashed", "crashed")):
+        story = slow_story()
+        story.core.attempts = 1
+        story.poll("w2")
+        worker, attempt = crashed
+        assert story.deliver(worker, A, attempt, "crashed") == [e.Receive(worker, A, attempt, accepted=True)]
+        worker, attempt = goes_on
+        *_, finish = story.deliver(worker, A, attempt, verdict)
+        assert isinstance(finish, e.Finish)
+        assert (finish.code, len(finish.history)) == (code, 1 + (verdict == "crashed"))
+
+
+def test_a_lease_that_outlived_the_last_failure_may_be_handed_back() -> None:
+    """Nobody is to blame for that: the task is given away once more."""
+    story = slow_story()
+    story.core.attempts = 1
+    story.poll("w2")
+    story.deliver("w2", A, 2, "crashed")
+    story.core.handle(e.HandedBack(story.now, "w1", A, 1, "e1"))
+    assert story.poll("w1") == [e.Grant(story.polls, "w1", A, 3)]
+
+
+def test_who_failed_in_a_task_does_not_hedge_it() -> None:
+    """Another one may."""
+    story = slow_story()
+    story.deliver("w1", A, 1, "crashed")
+    assert story.poll("w2") == [e.Grant(story.polls, "w2", A, 2)]
+    story.now += 10.0
+    assert story.poll("w1") == []
+    story.join("w3")
+    assert story.poll("w3") == [e.Grant(story.polls, "w3", A, 3)]
+
+
 def test_two_shares_get_task_for_task() -> None:
     """A campaign with ten tasks waiting does not hold up one with two."""
     story = Story()
