@@ -228,16 +228,7 @@ MAY_CHANGE: dict[Stage, tuple[str, ...]] = {
 def changed(before: Scene, after: Scene) -> list[str]:
     """Which parts of a scene differ, by the names of `MAY_CHANGE`."""
     found = []
-    for part in (
-        "layout",
-        "chip",
-        "distance_um",
-        "emission",
-        "substrate",
-        "receiver",
-        "wavelength_weight",
-        "tilt_per_um",
-    ):
+    for part in Scene.__dataclass_fields__:
         old, new = getattr(before, part), getattr(after, part)
         if old is new:
             continue
@@ -252,6 +243,8 @@ def changed(before: Scene, after: Scene) -> list[str]:
 def _same(old: Any, new: Any) -> bool:
     if isinstance(old, np.ndarray) or isinstance(new, np.ndarray):
         return old is new or np.array_equal(old, new)
+    if isinstance(old, tuple) and isinstance(new, tuple):
+        return len(old) == len(new) and all(map(_same, old, new))
     return old is new or (not isinstance(old, Bsdf | Emission) and bool(old == new))
 
 

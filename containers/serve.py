@@ -26,7 +26,7 @@ def thin_film(router: Router = None, quiet: Quiet = False) -> None:
     from containers.catalogue import Catalogue
     from containers.thin_film.worker import FilmComputation
 
-    computation = FilmComputation.in_folder(cache, Catalogue(settings.effects))
+    computation = FilmComputation.in_folder(cache, Catalogue(settings.effects_dir))
     _serve("thin-film", settings, lambda _: computation, f"database in {cache}", quiet)
 
 
@@ -42,7 +42,7 @@ def ray_tracing(router: Router = None, quiet: Quiet = False) -> None:
     threads = wanted_threads()
     source = ExitSource(cache / "exits", threads=threads)
     warm_up(source, threads)
-    catalogue = Catalogue(settings.effects)
+    catalogue = Catalogue(settings.effects_dir)
 
     def computation(bus: Bus) -> Computation:
         fetch = fetcher(bus, settings.realm, BlobStore(cache / "blobs"))

@@ -56,7 +56,8 @@ class Calibrated:
             ],
             "fit": {
                 "parameters": [self._parameter(path) for path in self.free],
-                "unseen": [path for path in self.asked if path not in self.free],
+                "unseen": [path for path in self.asked if path not in self.free and path in fit.problem.model.fit],
+                "left_out": [path for path in self.asked if path not in fit.problem.model.fit],
                 "correlation": [[float(value) for value in row] for row in self._correlation()],
                 "correlated": self._correlated(),
                 "profiles": [

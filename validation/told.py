@@ -124,6 +124,8 @@ def calibration(document: Document) -> Iterator[str]:
     yield from fit["correlated"]
     if fit.get("unseen"):
         yield f"not seen by these data: {', '.join(fit['unseen'])}"
+    if fit.get("left_out"):
+        yield f"not fitted, for the chosen surface has none within its limits: {', '.join(fit['left_out'])}"
     yield ""
     before, after = document["errors"]
     heads = ("shot", "rms error before", "after", "noise")

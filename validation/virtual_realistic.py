@@ -60,7 +60,8 @@ class Candidate:
     reflectance: float
 
     def applied(self, model: Model) -> Model:
-        """The model with that surface; a fit of what it does not have (a Lambertian's sigma) is dropped."""
+        """The model with that surface; a fit of what it does not have (a Lambertian's sigma) is dropped, and one with
+        limits that do not hold what it has."""
         sigma_deg = KINDS[self.kind]
         scatter = "lambertian" if sigma_deg is None else "gaussian"
         surface = parse(Surface, {"scatter": scatter, "sigma_deg": sigma_deg, "reflectance": self.reflectance})

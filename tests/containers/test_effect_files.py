@@ -151,11 +151,12 @@ class Mine(SceneEffect):
     ("body", "said"),
     [
         ("return scene if not self.share else replace(scene, distance_um=170.0)", ("acts: ", "distance_um")),
+        ("return scene if not self.share else replace(scene, leak_share=0.5, leak_um=9.0)", ("acts: ", "leak_share")),
         ("return scene if not self.share else replace(scene, substrate=Lambertian(0.5))", ("conserves", "albedo")),
         ("return scene if not self.share else replace(scene, substrate=Lambertian(1.5))", ("acts: ", "reflectance")),
         ("return scene if not self.share else None", ("acts: ", "NoneType")),
     ],
-    ids=["another stage", "not conserved", "above 1", "nothing"],
+    ids=["another stage", "the substrate leaks", "not conserved", "above 1", "nothing"],
 )  # fmt: skip
 def test_a_scene_effect_keeps_to_its_stage_and_to_the_laws(body: str, said: tuple[str, ...]) -> None:
     """It may not change what is not its stage's, nor create energy, nor lose what it says that it conserves."""

@@ -81,6 +81,14 @@ def test_speos_reader_reads_the_makers_example() -> None:
     assert surface.T[1, :, 0] == pytest.approx([0.985, 0.985])
 
 
+def test_speos_reader_believes_no_counts_that_the_text_cannot_hold() -> None:
+    """Before anything is laid out for them: 30,000 angles and wavelengths are 29 GB."""
+    text = "OPTIS - Coated surface file v1.0\nmine\n30000 30000\n" + "1 " * 30000 + "\n0" * 60001
+    with pytest.raises(InputError, match="it was cut short") as error:
+        read_speos(text)
+    assert error.value.field == "coated file, line 3"
+
+
 def test_speos_says_how_much_scatter_and_interpolation_cost() -> None:
     """A rough film's scatter is named with its size; own angles err by less than 1e-3, 5 deg steps by half."""
     rough, smooth = speos(film(5.5, 5.0), "inside"), speos(film(), "inside")

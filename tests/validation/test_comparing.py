@@ -157,6 +157,9 @@ def test_a_calibration_tells_values_errors_and_what_became_of_the_file() -> None
         assert row["lower95"] < row["value"] < row["upper95"]
     assert {one["path"] for one in document["fit"]["profiles"]} == set(free)
     assert all(min(one["chi2"]) > -0.5 for one in document["fit"]["profiles"])
+    assert document["fit"]["unseen"] == document["fit"]["left_out"] == []
+    lost = replace(found, asked=(*found.asked, "environment.receiver.sigma_deg")).document()
+    assert (lost["fit"]["unseen"], lost["fit"]["left_out"]) == ([], ["environment.receiver.sigma_deg"])
     assert "mine.toml is as it was" in "\n".join(told.calibration(document | {"version": None}))
     assert "mine.toml is version 3" in "\n".join(told.calibration(document | {"version": 3}))
 

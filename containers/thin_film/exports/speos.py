@@ -121,6 +121,8 @@ def read_speos(text: str) -> CoatedSurface:
     if any(not 1 <= n <= MAX_ROWS or n != int(n) for n in counts) or len(lines) < 4 + 2 * int(counts[0]):
         raise InputError("coated file, line 3", lines[2], f"counts of the {len(lines)} lines", "it was cut short")
     angles, wavelengths = (int(n) for n in counts)
+    if 8 * angles * wavelengths > len(text):  # four numbers of each, a digit and a gap at least
+        raise InputError("coated file, line 3", lines[2], f"counts of {len(text)} characters", "it was cut short")
     wavelength_nm = np.array(numbers("coated file, line 4", lines[3].split(), wavelengths))
     aoi_deg, percent = np.empty(angles), np.empty((wavelengths, 2, angles, 2))
     for k in range(angles):

@@ -5,6 +5,7 @@ On two images of single chips, which is what a trial of seconds can look at.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -16,6 +17,7 @@ from validation.effects import checking
 from validation.effects.confusing import Ground, image_ground
 from validation.effects.example_set import example_images
 from validation.effects.known import Known, acting
+from validation.effects.signatures import Sight
 from validation.effects.templates import source_of
 from validation.prediction import Predictor
 
@@ -63,6 +65,17 @@ def test_the_example_of_a_stage_keeps_what_is_demanded(
     found.append(checking.shared_numbers(ground, Predictor(workers), PAPER, spec))
     assert not [one.said for one in found if one.ok is False]
     assert (found[-1].ok is None) == spec.walks
+
+
+def test_an_effect_on_the_mirror_is_seen_though_the_last_image_has_none(
+    workers: Workers, known: Known, ground: Ground
+) -> None:
+    """A data set of one's own has its images in any order."""
+    views = sorted(ground.sight.views, key=lambda one: -one.sample.dbr_pairs)
+    last = [replace(one, sample=one.sample.model_copy(update={"dbr_pairs": 0.0})) for one in views[1:]]
+    other = replace(ground, sight=Sight(Predictor(workers), [views[0], *last], (), known.beyond_twin))
+    assert views[0].sample.dbr_pairs > 0.0
+    assert other.columns(PAPER, known.spec("dbr_thickness_error"))
 
 
 def test_walks_that_nobody_told_of_are_found_and_the_mend_is_to_tell(known: Known, ground: Ground) -> None:
