@@ -67,6 +67,8 @@ def parse_toml(text: str, where: str) -> Model:
         number = int(found[1]) if (found := re.search(r"line (\d+)", str(error))) else text.count("\n") + 1
         line = [*text.split("\n"), ""][number - 1]
         raise InputError(f"{where}: line {number}", line, "TOML", str(error)) from None
+    except (ValueError, RecursionError) as error:
+        raise InputError(where, str(error), "TOML", "a number is too long, or brackets nest too deeply") from None
     schema = data.pop("schema", None)
     if schema != SCHEMA:
         mend = f'begin the file with schema = "{SCHEMA}"' if schema is None else "written for another luxloop"

@@ -20,7 +20,16 @@ from numpy.typing import NDArray
 
 from luxloop.errors import InputError
 from validation.dataset.folder import Dataset
-from validation.dataset.images import MASK_TYPES, Pixels, Real, binned_any, binned_mean, binned_place, read_tiff
+from validation.dataset.images import (
+    IMAGE_TYPES,
+    MASK_TYPES,
+    Pixels,
+    Real,
+    binned_any,
+    binned_mean,
+    binned_place,
+    read_tiff,
+)
 from validation.dataset.manifest import (
     CameraFacts,
     FarFieldShot,
@@ -112,7 +121,10 @@ def measured_images(dataset: Dataset, compare_pixel_um: float | None = None) -> 
     images = []
     for shot in shots:
         raw = read_tiff(dataset.path(shot.file), shot.file).values
-        images.append(_measured(dataset.manifest, shot, raw, correction(shot.dark, shot.flat, shot.mask), factor))
+        if min(raw.shape) < factor:
+            raise InputError(f"{shot.file}: size", raw.shape, f"at least {factor} x {factor} pixels, one bin")
+        corrected_by = correction(raw.shape, shot.dark, shot.flat, shot.mask)
+        images.append(_measured(dataset.manifest, shot, raw, corrected_by, factor))
         if images[-1].signal_dn.shape != images[0].signal_dn.shape:
             value, allowed = f"{raw.shape[0]} x {raw.shape[1]} pixels", f"as large as {shots[0].file}"
             raise InputError(f"{shot.file}: size", value, allowed, "crop them alike, or make two data sets")
@@ -169,27 +181,25 @@ class _Correction:
         return binned_mean(raw if self.inverse is None else raw * self.inverse, factor)
 
 
-def _correction(dataset: Dataset, factor: int, dark: str | None, flat: str | None, mask: str | None) -> _Correction:
-    """The correction by these files; where there is none of them its arrays are of shape (1, 1)."""
-    ignored = None if mask is None else read_tiff(dataset.path(mask), mask, MASK_TYPES).values == 0
-    inverse = None if flat is None else inverse_flat(read_tiff(dataset.path(flat), flat).values, ignored, flat)
+def _correction(
+    dataset: Dataset, factor: int, shape: tuple[int, ...], dark: str | None, flat: str | None, mask: str | None
+) -> _Correction:
+    """The correction of images of that shape by these files; where there is none its arrays are of shape (1, 1)."""
+    read = partial(_of_shape, dataset, shape)
+    ignored = None if mask is None else read(mask, MASK_TYPES) == 0
+    inverse = None if flat is None else inverse_flat(read(flat), ignored, flat)
     one = np.ones((1, 1))
     mean, square = (one, one) if inverse is None else (binned_mean(inverse, factor), binned_mean(inverse**2, factor))
     correction = _Correction(ignored, inverse, mean, square, None)
-    if dark is None:
-        return correction
-    values = read_tiff(dataset.path(dark), dark).values
-    _refuse_other_shape(dark, values, inverse)
-    return replace(correction, dark_dn=correction.binned(values, factor))
+    return correction if dark is None else replace(correction, dark_dn=correction.binned(read(dark), factor))
 
 
 def inverse_flat(flat: Pixels, ignored: NDArray[np.bool_] | None, name: str) -> NDArray[np.float32]:
     """1/flat (row, column), the flat divided by its mean over the unmasked field first.
 
     Where it is masked and not above 0, 1 stands, so that a variance is finite there too. Raises InputError where the
-    flat has another size than the mask, or is not above 0 somewhere unmasked.
+    flat is not above 0 somewhere unmasked.
     """
-    _refuse_other_shape(name, flat, ignored)
     seen = np.ones(flat.shape, np.bool_) if ignored is None else ~ignored
     good = (flat > 0) & np.isfinite(flat)
     if bad := int(np.count_nonzero(seen & ~good)):
@@ -206,17 +216,11 @@ def _measured(
     """One image, corrected and binned; see `measured_images`."""
     camera = manifest.camera
     assert camera is not None  # noqa: S101 checks of the manifest
-    for other in (correction.ignored, correction.inverse):
-        _refuse_other_shape(shot.file, raw, other)
-    if min(raw.shape) < factor:
-        raise InputError(f"{shot.file}: size", raw.shape, f"at least {factor} x {factor} pixels, one bin")
     saturated = raw >= camera.saturation_dn
     ignored = correction.ignored
     unused = saturated if ignored is None else saturated | ignored
     used = ~binned_any(unused, factor)
     signal = correction.binned(_finite(raw, unused, shot.file), factor)
-    if correction.dark_dn is not None and correction.dark_dn.shape != signal.shape:
-        raise InputError(f"{shot.file}: size", raw.shape, f"as large as {shot.dark}", "crop them alike")
     if not used.any():
         value = f"{np.count_nonzero(saturated)} of {raw.size} pixels saturated, the others masked"
         raise InputError(f"{shot.file}: values", value, "a pixel to compare", "a shorter exposure, or another mask")
@@ -279,7 +283,10 @@ def _finite(raw: Pixels, unused: NDArray[np.bool_], name: str) -> Pixels:
     return raw if finite.all() else np.where(finite, raw, 0)
 
 
-def _refuse_other_shape(name: str, values: Pixels, other: Pixels | None) -> None:
-    if other is not None and values.shape != other.shape:
-        value, allowed = (f"{shape[0]} x {shape[1]} pixels" for shape in (values.shape, other.shape))
+def _of_shape(dataset: Dataset, shape: tuple[int, ...], name: str, types: tuple[str, ...] = IMAGE_TYPES) -> Pixels:
+    """The dark, flat or mask of that name; InputError where it is not of the image's shape."""
+    values = read_tiff(dataset.path(name), name, types).values
+    if values.shape != shape:
+        value, allowed = (f"{one[0]} x {one[1]} pixels" for one in (values.shape, shape))
         raise InputError(f"{name}: size", value, allowed, "dark, flat, mask and image must be of one size")
+    return values

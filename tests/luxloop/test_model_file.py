@@ -163,6 +163,13 @@ def test_a_spoilt_file_is_refused_with_what_mends_it(old: str, new: str, field: 
     assert told in str(caught.value)
 
 
+@pytest.mark.parametrize("value", ["9" * 5000, "[" * 3000], ids=["digits", "brackets"])
+def test_a_value_without_end_is_no_toml(value: str) -> None:
+    """tomllib gives up on it otherwise than on wrong TOML."""
+    with pytest.raises(InputError, match=r"mine\.toml: got .*, allowed: TOML; a number is too long, or brackets"):
+        parse_toml(f"schema = {value}", "mine.toml")
+
+
 def test_a_line_that_is_no_toml_is_shown() -> None:
     """Its number and its text."""
     with pytest.raises(InputError) as caught:

@@ -187,6 +187,21 @@ def test_import_turns_darks_flats_and_masks_too(raw: Path, tmp_path: Path) -> No
     assert not tifffile.imread(data.path(shot.mask))[-9:].any()
 
 
+def test_import_scales_a_raw_flat_before_its_black_is_taken_away(raw: Path, tmp_path: Path) -> None:
+    """12 bits shifted up to 16: its black of 1,024 in the file is 64 DN, as the images' is."""
+    (raw / "more" / "array 1.tif").unlink()
+    flat = np.linspace(1064, 2064, 96, dtype=np.uint16)[:, None] + np.zeros((96, 96), np.uint16)
+    for name, values in (("single.tif", tifffile.imread(raw / "single.tif")), ("flat.tif", flat)):
+        tifffile.imwrite(raw / name, values * np.uint16(16))
+    options = ("--layout", "single", *CAMERA, *DESIGN, "--exposure-ms", "8", "--row0", "bottom")
+    shifted = ("--scale", "0.0625", "--black-level-dn", "64", "--flat", "flat.tif")
+    told("import", raw, "--into", tmp_path / "d", *options, *shifted)
+    data = read_dataset(tmp_path / "d")
+    name = data.manifest.images()[0].flat
+    assert name is not None
+    np.testing.assert_allclose(tifffile.imread(data.path(name)), flat - 64.0)
+
+
 @pytest.mark.parametrize("kind", ["lmk", "lmk camera", "csv", "semicolons", "tabs"])
 def test_import_reads_what_other_programs_write(tmp_path: Path, kind: str) -> None:
     """LMK luminance and camera images, matrices with points or decimal commas; a scale makes them DN."""

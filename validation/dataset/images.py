@@ -25,6 +25,7 @@ IMAGE_TYPES = ("uint16", "float32")
 MASK_TYPES = ("bool", "uint8", "uint16")
 MAX_PIXEL_BYTES = 256 << 20
 TRANSFER_FUNCTION, ICC_PROFILE = 301, 34675  # TIFF tags that say that values are meant for a screen
+ORIENTATION = 274  # the TIFF tag that says how rows and columns are to be turned and mirrored
 WHY_NOT = {
     "uint8": "8-bit images are gamma-encoded or too coarse: save the camera's raw image as 16 bit",
     "int16": "signed numbers: save it as uint16",
@@ -87,6 +88,9 @@ def _only_page(file: tifffile.TiffFile, name: str, types: tuple[str, ...]) -> An
     if page.samplesperpixel != 1 or kind not in ("MINISBLACK", "MINISWHITE") or len(page.shape) != 2:
         said = f"{kind.lower()}, {page.samplesperpixel} values a pixel, shape {page.shape}"
         raise InputError(f"{name}: colour", said, "grey, one value a pixel", "save the raw channel as grey")
+    if (turned := page.tags.valueof(ORIENTATION, 1)) != 1:
+        mend = "saved turned: save it upright, or strip the tag"
+        raise InputError(f"{name}: orientation", int(turned), "1, rows and columns as in the file", mend)
     if kind == "MINISWHITE":
         raise InputError(f"{name}: photometric", "0 is white", "0 is black", "invert it when saving")
     kind_of_number = str(np.dtype(page.dtype)) if page.dtype is not None else f"{page.bitspersample} bits"

@@ -182,12 +182,12 @@ def _image(order: Order, name: str) -> Pixels:
 
 
 def _helper(order: Order, kind: str, name: str, black_dn: float) -> Pixels:
-    """A dark, flat or mask, row 0 at the lowest y; a flat of whole numbers is raw: its black is taken away."""
+    """A dark, flat or mask, row 0 at the lowest y; a flat of whole numbers is raw: its black in DN is taken away."""
     values = read_foreign(_source(order, name), name, MASK_TYPES if kind == "mask" else IMAGE_TYPES)
     if kind == "mask":
         values = (values != 0).astype(np.uint8)
     elif kind == "flat" and values.dtype.kind == "u":
-        values = np.asarray(values - np.float32(black_dn), np.float32)
+        values = np.asarray(values * np.float32(order.scale) - np.float32(black_dn), np.float32)
     elif kind == "dark" and order.scale != 1.0:
         values = np.asarray(values * np.float32(order.scale), np.float32)
     return values[::-1] if order.row0 == "top" else values

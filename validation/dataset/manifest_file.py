@@ -57,18 +57,35 @@ def _toml_of(raw: bytes) -> dict[str, Any]:
     except UnicodeDecodeError as error:
         raise InputError(MANIFEST, raw[error.start : error.start + 8], "UTF-8 text", "save it as UTF-8") from None
     try:
-        data = tomllib.loads(text)
+        data = loads(text)
     except tomllib.TOMLDecodeError as error:
         number = int(found[1]) if (found := re.search(r"line (\d+)", str(error))) else text.count("\n") + 1
         line = [*text.split("\n"), ""][number - 1]
         comma = re.search(r"=\s*\d+,\d+\s*(#|$)", line)
         mend = "write decimals with a point" if comma else str(error)
         raise InputError(f"{MANIFEST}: line {number}", line, "TOML", mend) from None
+    except (ValueError, RecursionError) as error:
+        raise InputError(MANIFEST, str(error)[:60], "TOML", why_not(error)) from None
     schema = data.pop("schema", None)
     if schema != SCHEMA:
         mend = f'begin the file with schema = "{SCHEMA}"' if schema is None else "written for another luxloop"
         raise InputError(f"{MANIFEST}: schema", schema, SCHEMA, mend)
     return data
+
+
+def loads(text: str) -> dict[str, Any]:
+    """The data of a TOML text; raises what tomllib does, and ValueError also for a hex number too long to show."""
+    data = tomllib.loads(text)
+    repr(data)
+    return data
+
+
+def why_not(error: Exception) -> str:
+    """What is wrong with a TOML file that tomllib gives up on, by what it raises."""
+    if isinstance(error, RecursionError):
+        return "nested too deeply"
+    known = isinstance(error, tomllib.TOMLDecodeError | UnicodeDecodeError | OSError)
+    return str(error) if known else "a number too long"
 
 
 def _fault(error: Any, data: dict[str, Any]) -> InputError:

@@ -8,13 +8,13 @@ Columns may be missing and cells empty: options then say it for all images at on
 from __future__ import annotations
 
 import csv
-import io
 import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from luxloop.effect import did_you_mean
 from luxloop.errors import InputError
+from validation.dataset.csv_lines import csv_lines
 
 DESIGN = ("distance_um", "width_um", "spacing_um", "thickness_um", "dbr_pairs")
 SAMPLE = ("layout", "rows", "columns", *DESIGN)
@@ -34,18 +34,18 @@ def read_sheet(path: Path) -> list[Row]:
     except (OSError, UnicodeDecodeError) as error:
         raise InputError("--table", str(path), "a CSV file", str(error)[:80]) from None
     between = ";" if ";" in text.partition("\n")[0] else ","  # spreadsheets of half of Europe write semicolons
-    lines = csv.reader(io.StringIO(text), delimiter=between)
-    header = [cell.strip() for cell in next(lines, [])]
+    lines = csv_lines(text, path.name, between)
+    header = [cell.strip() for cell in next(lines, (1, []))[1]]
     for column in header:
         if column not in COLUMNS:
             raise InputError(f"{path.name}: line 1", column, ", ".join(COLUMNS), did_you_mean(column, COLUMNS))
     if "file" not in header:
         raise InputError(f"{path.name}: line 1", ", ".join(header), "a column file", "--write-table writes one")
     rows = []
-    for cells in lines:
+    for number, cells in lines:
         if not any(cell.strip() for cell in cells):
             continue
-        where = f"{path.name}: line {lines.line_num}"
+        where = f"{path.name}: line {number}"
         if len(cells) != len(header):
             open_quote = any("\n" in cell for cell in cells)
             mend = "a quotation mark that is not closed" if open_quote else "a decimal comma? Write a point"

@@ -8,18 +8,19 @@ A table is read whole: every fault of every line is found, and the reader raises
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from luxloop.errors import InputError
+from validation.dataset.csv_lines import csv_lines
 from validation.dataset.images import Real
 from validation.dataset.manifest import FarFieldShot, SpectrumShot
 
@@ -28,7 +29,7 @@ FAR_FIELD_COLUMNS = ("theta_deg", "phi_deg", "value", "sigma")
 LIMITS = {
     "wavelength_nm": (1.0, 1e6),
     "aoi_deg": (0.0, 90.0),
-    "theta_deg": (0.0, 180.0),
+    "theta_deg": (0.0, 90.0),
     "phi_deg": (-360.0, 360.0),
     "R": (0.0, 1.0),
     "T": (0.0, 1.0),
@@ -40,6 +41,8 @@ BEYOND_UNITY = 0.05
 PERCENT = 1.5
 """A reflectance or transmittance with a larger value than this is taken for one in percent."""
 MAX_ROWS = 1_000_000
+MAX_PLACES, MAX_GRID = 10_000, 1_000_000
+"""What one request to a worker takes: different wavelengths, or angles; and wavelengths x angles."""
 
 Quantity = Literal["R", "T", "psi", "delta"]
 Row = Mapping[str, str]
@@ -96,6 +99,7 @@ def spectrum_and_faults(path: Path, name: str, quantity: Quantity) -> tuple[Spec
             say = "nothing" if allowed == ("",) else "s, p or u"
             faults.append(InputError(f"{name}: line {line}: polarisation", one, f"{say} for {quantity}"))
     faults += _outside(rows, numbers, ("wavelength_nm", "aoi_deg"), name)
+    faults += _too_many_places(numbers, np.array(polarisation), name)
     faults += _wrong_unit(rows, numbers["value"], numbers["sigma"], quantity, name)
     faults += _duplicates(rows, ("wavelength_nm", "aoi_deg", "polarisation"), name)
     if not rows or any(not np.isfinite(column).all() for column in numbers.values()):
@@ -135,15 +139,18 @@ def _rows(path: Path, name: str, columns: tuple[str, ...]) -> tuple[list[tuple[i
         mend = "columns are separated by commas" if ";" in header or "\t" in header else "the first line names them"
         return [], [*faults, InputError(f"{name}: line 1", header.strip(), wanted, mend)]
     rows: list[tuple[int, Row]] = []
-    reader = csv.reader(io.StringIO(text))
-    next(reader)
-    for cells in reader:
-        if not any(cell.strip() for cell in cells):
-            continue
-        if len(cells) != len(columns):
-            faults.append(_wrong_count(f"{name}: line {reader.line_num}", cells, columns))
-        elif len(rows) < MAX_ROWS:
-            rows.append((reader.line_num, dict(zip(columns, cells, strict=True))))
+    try:
+        for line, cells in islice(csv_lines(text, name), 1, None):
+            if not any(cell.strip() for cell in cells):
+                continue
+            if len(cells) != len(columns):
+                faults.append(_wrong_count(f"{name}: line {line}", cells, columns))
+                continue
+            if len(rows) == MAX_ROWS:
+                raise InputError(f"{name}: rows", "more", f"at most {MAX_ROWS:,} rows", "thin it out")
+            rows.append((line, dict(zip(columns, cells, strict=True))))
+    except InputError as error:
+        faults.append(error)
     if not rows and not faults:
         faults.append(InputError(f"{name}: rows", 0, "at least one row below the header"))
     return rows, faults
@@ -183,13 +190,30 @@ def _outside(
     """Wavelengths and angles out of range."""
     for column in columns:
         low, high = LIMITS[column]
-        for at in np.flatnonzero((numbers[column] < low) | (numbers[column] > high)).tolist():
-            number = float(numbers[column][at])
-            yield InputError(f"{name}: line {rows[at][0]}: {column}", number, f"{low:g} to {high:g}")
+        beyond = numbers[column] >= high if column == "aoi_deg" else numbers[column] > high
+        allowed = f"{low:g} to {'below ' if column == 'aoi_deg' else ''}{high:g}"
+        for at in np.flatnonzero((numbers[column] < low) | beyond).tolist():
+            yield InputError(f"{name}: line {rows[at][0]}: {column}", float(numbers[column][at]), allowed)
     wavelengths = numbers.get("wavelength_nm", np.zeros(0))
     if wavelengths.size and np.nanmax(wavelengths, initial=0.0) < 30.0:
         value = f"up to {np.nanmax(wavelengths):g}"
         yield InputError(f"{name}: wavelength_nm", value, "nanometres", "in um? multiply by 1000")
+
+
+def _too_many_places(numbers: Mapping[str, Real], polarisation: NDArray[np.str_], name: str) -> Iterator[InputError]:
+    """What no worker can be asked for: it predicts each polarisation at every wavelength under every angle."""
+    for one in np.unique(polarisation):
+        count = {
+            column: np.unique(numbers[column][polarisation == one]).size for column in ("wavelength_nm", "aoi_deg")
+        }
+        wavelengths, angles = count.values()
+        for column, places in count.items():
+            if places > MAX_PLACES:
+                yield InputError(f"{name}: {column}", places, f"at most {MAX_PLACES:,} different", "thin it out")
+        if wavelengths * angles > MAX_GRID:
+            value, allowed = f"{wavelengths:,} x {angles:,}", f"wavelengths x angles up to {MAX_GRID:,}"
+            mend = "thin it out, or make several shots of it, each with fewer angles"
+            yield InputError(f"{name}: rows", value, allowed, mend)
 
 
 def _wrong_unit(

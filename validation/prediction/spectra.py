@@ -16,6 +16,7 @@ from luxloop.film import FilmMeasurementRequest
 from luxloop.stack import Layer, Medium, Stack
 from luxloop.words import parse, sha256_of
 from validation.dataset.manifest import FilmLayer, FilmSample
+from validation.dataset.spectra import MAX_GRID, MAX_PLACES
 from validation.prediction.differences import moved_models, stencil, step_of
 from validation.prediction.words import Curve, PredictedCurve, Real
 
@@ -121,15 +122,19 @@ def _along(film: FilmSample, path: str, value: float, by: float) -> FilmSample:
 
 def _values(wanted: Sequence[tuple[Model, Curve]], ask: Ask) -> list[Real]:
     """The values of the rows of each curve; curves that differ in their angles alone are asked for together."""
-    parts = [(number, *part) for number, (model, curve) in enumerate(wanted) for part in _parts(curve, model)]
+    parts = []
     together: dict[str, FilmMeasurementRequest] = {}
-    for _, _, key, request in parts:
-        held = together.get(key, request)
-        angles = tuple(sorted({*held.aoi_deg, *request.aoi_deg}))
-        together[key] = held if angles == held.aoi_deg else held.model_copy(update={"aoi_deg": angles})
+    for number, (model, curve) in enumerate(wanted):
+        for rows, same, request in _parts(curve, model):
+            key, held = same, together.get(same, request)
+            angles = tuple(sorted({*held.aoi_deg, *request.aoi_deg}))
+            if len(angles) > MAX_PLACES or len(angles) * len(held.wavelength_nm) > MAX_GRID:
+                key, held, angles = f"{same} {number}", request, request.aoi_deg  # more than one request takes
+            together[key] = held if angles == held.aoi_deg else held.model_copy(update={"aoi_deg": angles})
+            parts.append((number, rows, key))
     answers = dict(zip(together, ask(list(together.values())), strict=True))
     values = [np.zeros(len(curve.wavelength_nm)) for _, curve in wanted]
-    for number, rows, key, _ in parts:
+    for number, rows, key in parts:
         curve, grid = wanted[number][1], np.asarray(answers[key].arrays["value"], np.float64)
         wave = np.searchsorted(together[key].wavelength_nm, curve.wavelength_nm[rows])
         values[number][rows] = grid[wave, np.searchsorted(together[key].aoi_deg, curve.aoi_deg[rows])]
@@ -141,15 +146,16 @@ def _parts(curve: Curve, model: Model) -> Iterator[tuple[NDArray[np.intp], str, 
     polarisation = np.array([one or "u" for one in curve.polarisation])
     for one in np.unique(polarisation):
         rows = np.flatnonzero(polarisation == one)
-        request = FilmMeasurementRequest(
-            stack=stack_of(curve.film),
-            effects=model.effects,
-            quantity=curve.quantity,
-            wavelength_nm=tuple(np.unique(curve.wavelength_nm[rows]).tolist()),
-            aoi_deg=tuple(np.unique(curve.aoi_deg[rows]).tolist()),
-            polarisation=str(one),
-            bandwidth_nm=curve.bandwidth_nm,
-        )
+        words = {
+            "stack": stack_of(curve.film),
+            "effects": model.effects,
+            "quantity": curve.quantity,
+            "wavelength_nm": tuple(np.unique(curve.wavelength_nm[rows]).tolist()),
+            "aoi_deg": tuple(np.unique(curve.aoi_deg[rows]).tolist()),
+            "polarisation": str(one),
+            "bandwidth_nm": curve.bandwidth_nm,
+        }
+        request = parse(FilmMeasurementRequest, words, curve.film.id)
         yield rows, sha256_of(request.model_dump(mode="json", exclude={"aoi_deg"})), request
 
 
