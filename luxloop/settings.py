@@ -48,9 +48,7 @@ class Settings(BaseSettings):
     silence_s: float = Field(6.0, gt=0.0, le=600.0, description="a worker not heard for so long loses its task")
     attempts: int = Field(3, ge=1, le=20, description="how often a task is tried before it is set aside")
     queue_tasks: int = Field(100_000, ge=1, description="tasks waiting at the controller before it says busy")
-    keep_results_mb: float = Field(
-        256.0, ge=0.0, le=1e6, description="finished results the controller keeps for askers"
-    )
+    keep_results_mb: float = Field(256.0, ge=0.0, le=1e6, description="finished results kept for those who ask")
 
     @field_validator("router")
     @classmethod
@@ -63,12 +61,11 @@ class Settings(BaseSettings):
         """With certificates and no word about the router, it is at the usual port, but encrypted."""
         return given if given.get("certs") is None else {"router": DEFAULT_SECURED} | given
 
-    @field_validator("cache", "runs", "certs")
+    @field_validator("cache", "runs", "effects", "certs")
     @classmethod
     def _somebodys(cls, folder: Path | None, field: ValidationInfo) -> Path | None:
         try:
-            if folder is not None:
-                folder.expanduser()
+            (folder or Path()).expanduser()
         except RuntimeError as error:  # ~nosuchuser
             mend = "name it without ~, or give it your own ~/"
             raise InputError(field.field_name or "", str(folder), "a folder", mend) from error
@@ -97,6 +94,11 @@ class Settings(BaseSettings):
     def runs_dir(self) -> Path:
         """The folder of runs with `~` expanded."""
         return self.runs.expanduser()
+
+    @property
+    def effects_dir(self) -> Path:
+        """The folder of the user's own effects with `~` expanded."""
+        return self.effects.expanduser()
 
     @property
     def certs_dir(self) -> Path | None:

@@ -10,6 +10,7 @@ import hashlib
 import os
 import tempfile
 import time
+from contextlib import suppress
 from pathlib import Path
 
 from luxloop.errors import InputError
@@ -23,16 +24,16 @@ class BlobStore:
 
     def __init__(self, folder: Path, max_bytes: int = MAX_BYTES) -> None:
         self._folder, self._max_bytes = folder, max_bytes
-        self._written_bytes = 0
+        self._written_bytes = max_bytes  # many a process writes little: the first blob of each is reason to prune
         self._verified: tuple[str, int, int] | None = None
 
     def keep(self, raw: bytes) -> str:
         """Store `raw` and return its SHA-256."""
         sha256 = hashlib.sha256(raw).hexdigest()
         path = self._path(sha256)
-        if path.exists():
+        try:
             os.utime(path)
-        else:
+        except FileNotFoundError:
             path.parent.mkdir(parents=True, exist_ok=True)
             handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=".new-")
             with os.fdopen(handle, "wb") as file:
@@ -46,14 +47,12 @@ class BlobStore:
     def get(self, sha256: str) -> bytes | None:
         """The bytes with this hash, or None where they are not held here (or no longer match it)."""
         path = self._path(sha256)
-        try:
+        with suppress(OSError):  # not there, or not readable: as good as not held
             raw = path.read_bytes()
             if hashlib.sha256(raw).hexdigest() == sha256:
                 os.utime(path)
                 return raw
             path.unlink(missing_ok=True)
-        except OSError:
-            pass  # not there, or not readable: as good as not held
         return None
 
     def piece(self, sha256: str, offset: int, length: int) -> tuple[bytes, int] | None:
@@ -81,13 +80,10 @@ class BlobStore:
         self._written_bytes = 0
         found = []
         for path in self._folder.glob("*/*"):
-            try:
+            with suppress(OSError):  # another process pruned it first
                 state = path.stat()
-            except OSError:  # another process pruned it first
-                continue
-            if path.name.startswith(".new-") and time.time() - state.st_mtime < 3600.0:
-                continue  # somebody is writing it
-            found.append((state.st_mtime, state.st_size, path))
+                being_written = path.name.startswith(".new-") and time.time() - state.st_mtime < 3600.0
+                found += [] if being_written else [(state.st_mtime, state.st_size, path)]
         total = sum(size for _, size, _ in found)
         for _, size, path in sorted(found):
             if total <= self._max_bytes:

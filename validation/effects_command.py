@@ -207,7 +207,7 @@ def _asked(folder: Path | None, router: str | None, no_local: bool, say: bool, w
 
 
 def _folder(given: Path | None) -> Path:
-    return (given or load_settings().effects).expanduser().absolute()
+    return (given.expanduser() if given else load_settings().effects_dir).absolute()
 
 
 def _file_of(text: str, folder: Path) -> tuple[str, bytes | None]:

@@ -40,7 +40,7 @@ WORDS = {
 def draw(document: Document, arrays: Arrays, path: Path) -> None:
     """Write the page (.html), or the map of who was taken for whom (.png, .svg, .pdf)."""
     if path.suffix.lower() in (".html", ".htm"):
-        path.write_text(page_of(document, arrays), encoding="utf-8", newline="\n")
+        html.write(path, page_of(document, arrays))
     else:
         save(confusion_figure(document["confusion"]["effects"]), path)
 

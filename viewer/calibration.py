@@ -34,7 +34,7 @@ STRONG = 0.95
 def draw(document: Document, arrays: Arrays, path: Path) -> None:
     """Write the page (.html) of a calibration, or the one picture that says most (.png, .svg, .pdf)."""
     if path.suffix.lower() in (".html", ".htm"):
-        path.write_text(page_of(document, arrays), encoding="utf-8", newline="\n")
+        html.write(path, page_of(document, arrays))
     else:
         save(figures.all_stages(document), path)
 

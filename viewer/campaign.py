@@ -40,7 +40,7 @@ SECTIONS = {
 
 def draw(document: Document, arrays: Arrays, path: Path) -> None:
     """Write the page of a report's document and its arrays."""
-    path.write_text(page_of(document, arrays), encoding="utf-8", newline="\n")
+    html.write(path, page_of(document, arrays))
 
 
 def page_of(document: Document, arrays: Arrays) -> str:

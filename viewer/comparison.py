@@ -37,7 +37,7 @@ PAIRS = re.compile(r"(\d+(?:\.\d+)?) pairs?")
 def draw(document: Document, arrays: Arrays, path: Path) -> None:
     """Write the page (.html) of a comparison, or the one picture that says most (.png, .svg, .pdf)."""
     if path.suffix.lower() in (".html", ".htm"):
-        path.write_text(page_of(document, arrays), encoding="utf-8", newline="\n")
+        html.write(path, page_of(document, arrays))
     else:
         save(worst_shot(document, arrays), path)
 

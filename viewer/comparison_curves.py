@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib import colormaps, rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import LogFormatter, MaxNLocator
 from numpy.typing import NDArray
 
 from viewer.look import COLOURS, INK, MIDDLE, PIXELS_FROM, SHADE, TEXT, svg
@@ -22,6 +22,14 @@ Values = NDArray[np.float64]
 
 SCALE = 4.0  # sigma; a pane shows no less
 DASHES = ("-", "--", ":", "-.")
+
+
+class Plain(LogFormatter):
+    """Writes 0.01 where matplotlib's own would write 10 to a power in mathtext, which no picture reads."""
+
+    def __call__(self, x: float, pos: int | None = None) -> str:
+        """The label of a tick; empty where there is no room for one."""
+        return f"{x:g}" if super().__call__(x, pos) else ""
 
 
 def profile_picture(profiles: Sequence[Document], groups: Mapping[str, str]) -> bytes:
@@ -147,6 +155,8 @@ def _profile_axes(axes: Axes, profiles: Sequence[Document], power: bool) -> None
     axes.grid(alpha=0.25)
     if power:
         axes.set_yscale("log")
+        axes.yaxis.set_major_formatter(Plain())
+        axes.yaxis.set_minor_formatter(Plain())
         return
     axes.set_ylim(*_well_known(profiles))
 

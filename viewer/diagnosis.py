@@ -30,7 +30,7 @@ RAREST = 1e-9
 def draw(document: Document, arrays: Arrays, path: Path) -> None:
     """Write the page (.html) of a diagnosis, or the one picture that says most (.png, .svg, .pdf)."""
     if path.suffix.lower() in (".html", ".htm"):
-        path.write_text(page_of(document, arrays), encoding="utf-8", newline="\n")
+        html.write(path, page_of(document, arrays))
     else:
         save(figures.scores_figure(document), path)
 
@@ -39,7 +39,7 @@ def draw_ladder(document: Document, arrays: Arrays, path: Path) -> None:  # noqa
     """Write the ladder as a page (.html) or a picture."""
     if path.suffix.lower() in (".html", ".htm"):
         body = [html.heading(f"The ladder of {document['model']['file']}"), *_ladder(document)]
-        path.write_text(html.page(f"The ladder of {document['model']['file']}", body), encoding="utf-8", newline="\n")
+        html.write(path, html.page(f"The ladder of {document['model']['file']}", body))
     else:
         save(figures.ladder_figure(document), path)
 

@@ -37,7 +37,7 @@ def draw(document: Document, arrays: Arrays, path: Path) -> None:
         if path.suffix.lower() in (".html", ".htm"):
             title, said = f"What {document['effect']} does", f"{values}; {document['formula']}"
             body = [html.heading(title), html.figure(svg(figure), said, said)]
-            path.write_text(html.page(title, body), encoding="utf-8", newline="\n")
+            html.write(path, html.page(title, body))
         else:
             save(figure, path)
 
@@ -107,7 +107,7 @@ def _curves(arrays: Arrays) -> Figure:
 def draw_confusion(document: Document, arrays: Arrays, path: Path) -> None:  # noqa: ARG001  # a view's arguments
     """Draw the maps of cosines into a picture, or write a page with their tables (.html)."""
     if path.suffix.lower() in (".html", ".htm"):
-        path.write_text(page_of(document), encoding="utf-8", newline="\n")
+        html.write(path, page_of(document))
     else:
         with rc_context(TEXT):
             save(map_figure(max(document["maps"], key=lambda one: len(one["names"]))), path)

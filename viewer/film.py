@@ -5,14 +5,21 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from matplotlib import colormaps
+from matplotlib import colormaps, rc_context
 from matplotlib.figure import Figure
+
+from viewer.look import PLAIN
 
 QUANTITIES = {"R": "reflectance R", "T": "transmittance T", "psi": "psi (deg)", "delta": "delta (deg)"}
 
 
 def draw(document: dict[str, Any], path: Path) -> None:
     """Draw the result document of `luxloop film` into a file of the kind its ending names (PNG, PDF, SVG)."""
+    with rc_context(PLAIN):
+        _figure(document).savefig(path, dpi=130)
+
+
+def _figure(document: dict[str, Any]) -> Figure:
     films, against = document["films"], document["against"]
     figure = Figure(figsize=(8.6, 4.6), layout="constrained")
     axes = figure.add_subplot()
@@ -42,7 +49,7 @@ def draw(document: dict[str, Any], path: Path) -> None:
     axes.set_title(_title(document), fontsize=9, loc="left")
     if len(films) > 1:
         figure.legend(loc="outside right upper", fontsize=8, title="solid: N.5 pairs")
-    figure.savefig(path, dpi=130)
+    return figure
 
 
 def _title(document: dict[str, Any]) -> str:

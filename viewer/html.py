@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from html import escape
+from pathlib import Path
 from typing import Any
 
 Row = Sequence[str]
@@ -56,6 +58,17 @@ def page(title: str, body: Sequence[str]) -> str:
         f"<title>{escape(title)}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n"
     )
     return head + "\n".join(body) + "\n</body>\n</html>\n"
+
+
+def write(path: Path, text: str) -> None:
+    """Write a page whole or not at all: what lay there before stays until the new one is complete."""
+    path = path.resolve()  # a link stays one
+    fresh = path.with_name(f".page-{os.getpid()}")
+    try:
+        fresh.write_text(text, encoding="utf-8", newline="\n")
+        fresh.replace(path)
+    finally:
+        fresh.unlink(missing_ok=True)
 
 
 def heading(text: str) -> str:

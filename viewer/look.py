@@ -25,6 +25,7 @@ PAPER, SHADE = "#fefefe", "#ebebeb"
 LOOK: Any = {  # matplotlib's own type lists every key there is
     "svg.fonttype": "none",  # letters as text: a third of the size
     "svg.hashsalt": "luxloop",
+    "text.parse_math": False,  # a $ in somebody's name is a $
     "font.size": 9.0,
     "text.color": INK,
     "axes.edgecolor": INK,
@@ -42,6 +43,8 @@ LOOK: Any = {  # matplotlib's own type lists every key there is
     "xtick.color": INK,
     "ytick.color": INK,
 }
+PLAIN: Any = {"text.parse_math": LOOK["text.parse_math"]}
+"""For pictures that else look as matplotlib's do."""
 TEXT = LOOK | {"font.size": 8.0, "axes.titlesize": 8.5, "legend.fontsize": 7.5}
 """The same for small pictures, of which several stand side by side."""
 MIDDLE = (4.6, 3.1)

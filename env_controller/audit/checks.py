@@ -17,7 +17,7 @@ from typing import Literal
 from luxloop.campaign import Step
 from luxloop.errors import InputError
 from luxloop.journal.chain import Link, Mark
-from luxloop.journal.reader import number_of, segments_of
+from luxloop.journal.reader import left_over, number_of, segments_of
 from luxloop.journal.scan import Commit, Scan
 from luxloop.journal.segment import FORMAT, PATTERN, SIDE_FILE, being_written
 from luxloop.journal.topics import Record, RequestRecord
@@ -113,10 +113,16 @@ def exit_code(audit: Audit) -> int:
 def _read_all(
     paths: list[Path], audit: Audit, expected: list[Expected], progress: Callable[[int], object]
 ) -> list[Scan]:
-    scans = []
-    read_bytes = 0
-    for place, path in enumerate(paths, 1):
+    scans: list[Scan] = []
+    read_bytes = place = 0
+    again = left_over(paths)
+    for path in paths:
         name, size_bytes = path.name, path.stat().st_size
+        if path in again:
+            audit.say(name, "note", how_left(path))
+            place = number_of(path)  # a start since then has the number behind it
+            continue
+        place += 1
         if number_of(path) != place:
             audit.say(name, "broken", f"segment {place} is missing before it")
         scan = Scan(path)
@@ -125,11 +131,16 @@ def _read_all(
         scans.append(scan)
         if scan.fault:
             audit.say(name, "broken", f"damaged after {scan.read_bytes:,} bytes: {scan.fault}")
-        elif place < len(paths) and not scan.finished:
+        elif path != paths[-1] and not scan.finished:
             audit.say(name, "note", f"was not finished; the run went on in the next{_left(scan)}")
         elif scan.finished:
             audit.say(name, "ok", f"finished, {size_bytes:,} bytes, checksums hold")
     return scans
+
+
+def how_left(path: Path) -> str:
+    """Why a segment counts for nothing that the run's first one holds too, and the mend."""
+    return f"left by an interrupted compaction; luxloop audit compact {path.parent} ends it"
 
 
 def _read(scan: Scan, audit: Audit, expected: list[Expected], progress: Callable[[int], object]) -> None:

@@ -10,7 +10,6 @@ them is moved. A compaction that was interrupted is ended by the next one.
 from __future__ import annotations
 
 import os
-from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from filecmp import cmp
@@ -23,7 +22,7 @@ from env_controller.audit.checks import verify
 from env_controller.audit.recover import owner_of
 from luxloop.errors import InputError, LuxloopError
 from luxloop.journal.chain import Mark
-from luxloop.journal.reader import SegmentReader, segments_of, tail_of
+from luxloop.journal.reader import SegmentReader, left_over, segments_of, tail_of
 from luxloop.journal.scan import Commit, Scan
 from luxloop.journal.segment import PATTERN, SegmentFile, held, sync_folder
 
@@ -165,16 +164,18 @@ def _swap(paths: list[Path], fresh: Path) -> None:
 def _end_interrupted(folder: Path, paths: list[Path]) -> Compacted | None:
     """Take away the segments that the first one holds already; None where there are none.
 
-    An earlier compaction was interrupted when it had put its file in the first one's place.
+    An earlier compaction was interrupted when it had put its file in the first one's place. A start since then wrote
+    under the number behind theirs, and gets the next one.
     """
-    marks = {commit.mark for commit in Scan(paths[0])} if len(paths) > 1 else set()
-    left = [path for path in paths[1:] if (tail := deque(Scan(path), 1)) and tail[0].mark in marks]
+    left = left_over(paths)
     if not left:
         return None
     kept_in = folder / BEFORE if (folder / BEFORE).is_dir() else None
     before_bytes = sum(map(_size, [*kept_in.glob(PATTERN)] if kept_in else left))
     for path in left:
         path.unlink()
+    for number, path in enumerate(segments_of(folder), 1):
+        path.rename(path.with_name(f"audit-{number:04}.mcap"))
     sync_folder(folder)
     return Compacted(folder, len(left) + 1, before_bytes, _size(paths[0]), tail_of(folder), kept_in)
 

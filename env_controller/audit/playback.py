@@ -161,7 +161,7 @@ def _refuse(journal: RunJournal, rate: float, topics: Sequence[str], start: int,
         raise InputError("--rate", rate, "0 to 1,000,000 times real time", "0: as fast as possible")
     last = max((entry.sequence for entry in journal.last("/step", 1)), default=0)
     if not 0 <= start <= last:
-        raise InputError("--from-step", start, f"0 to {last:,}, the steps of this run")
+        raise InputError("--start", start, f"0 to {last:,}, the steps of this run")
     if paused and not sys.stdin.isatty():
         raise InputError("--paused", paused, "a terminal with a space bar to go on", "leave it out")
 

@@ -16,9 +16,10 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from env_controller.audit.checks import how_left
 from luxloop.errors import InputError, LuxloopError
 from luxloop.journal.chain import Mark
-from luxloop.journal.reader import SegmentReader, number_of, segments_of
+from luxloop.journal.reader import SegmentReader, left_over, number_of, segments_of
 from luxloop.journal.scan import Commit, Scan
 from luxloop.journal.segment import (
     PATTERN,
@@ -165,8 +166,11 @@ def _kept(recovery: Recovery) -> None:
 
 def _save_all(paths: list[Path], recovery: Recovery) -> None:
     """Segment after segment, for as long as each goes on where the chain has come to."""
-    left = list(paths)
-    for place in range(1, len(paths) + 1):
+    again = left_over(paths)
+    for path in sorted(again):
+        recovery.parts.append(Part(path.name, left_bytes=path.stat().st_size, found=how_left(path)))
+    left = [path for path in paths if path not in again]
+    for place in range(1, len(left) + 1):
         if recovery.lost or recovery.changed:
             break
         path = _next(left, recovery.mark)

@@ -89,8 +89,10 @@ def log_of(line: LogLine, log_time_ns: int) -> bytes:
 
 
 def read_log(data: bytes) -> LogLine:
-    """The line of text. Raises InputError where it is none."""
+    """The line of text. Raises InputError where it is none, or of a level that we do not know."""
     log = _parsed(LOG, data)
+    if not 0 <= log.level < len(LEVELS):  # to protobuf any number is one
+        raise InputError("level", log.level, f"0 to {len(LEVELS) - 1}: {', '.join(LEVELS)}")
     return LogLine(log.message, LEVELS[log.level], log.name)
 
 

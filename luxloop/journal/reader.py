@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 from collections import deque
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar
@@ -114,11 +115,8 @@ class SegmentReader:
                     parts = breakup_chunk(Chunk.read(ReadDataStream(file)), validate_crc=True)
                 except BROKEN as error:
                     raise self._damaged(error) from error
-                yield [
-                    record_of(part, wanted)
-                    for part in parts
-                    if isinstance(part, Message) and part.channel_id in wanted
-                ]
+                found = (part for part in parts if isinstance(part, Message) and part.channel_id in wanted)
+                yield [record_of(part, wanted) for part in found]
 
     def _damaged(self, error: Exception) -> LuxloopError:
         return LuxloopError(f"{self.path}: damaged ({error}); see `luxloop audit verify`")
@@ -132,7 +130,8 @@ class RunJournal:
         self.folder = folder
         if not folder.is_dir():
             raise InputError("run", str(folder), "the folder of a run", "see `luxloop campaign list`")
-        self.segments = [SegmentReader(path) for path in segments_of(folder)]
+        paths = segments_of(folder)
+        self.segments = [SegmentReader(path) for path in sorted({*paths} - left_over(paths), key=number_of)]
         if not any(segment.opening[0].get("run", {}).get("journal") == FORMAT for segment in self.segments):
             seen = f"{len(self.segments)} file(s) {PATTERN}, none with the beginning of a journal of format {FORMAT}"
             raise InputError(str(folder), seen, "the folder of a run with its journal", "name another folder")
@@ -150,9 +149,8 @@ class RunJournal:
         """An attached JSON file as words. Raises InputError where it is not there, or is none of them."""
         files = self.attachments()
         if name not in files:
-            raise InputError(
-                name, sorted(files), f"an attachment of the journal in {self.folder}", "is it a campaign?"
-            )
+            allowed = f"an attachment of the journal in {self.folder}"
+            raise InputError(name, sorted(files), allowed, "is it a campaign?")
         try:
             plain = json.loads(files[name])
         except ValueError as error:
@@ -199,6 +197,21 @@ class RunJournal:
 def segments_of(folder: Path) -> list[Path]:
     """The segments in a folder, in their order."""
     return sorted((path for path in folder.glob(PATTERN) if number_of(path)), key=number_of)
+
+
+def left_over(paths: list[Path]) -> set[Path]:
+    """Those of a run's segments that its first one holds too: a compaction was interrupted, and the next one ends it.
+
+    What is damaged is none: that is for others to say.
+    """
+    with suppress(LuxloopError, OSError, IndexError):
+        first = SegmentReader(paths[0])
+        end = first.last(CHAIN, 1)[0].value.records if paths[1:] and first.index else 0
+        later = [Scan(path) for path in paths[1:] if end]
+        if any(next(iter(scan), None) and scan.before.records < end for scan in later):
+            marks = {commit.mark for commit in Scan(paths[0])}
+            return {path for path in paths[1:] if {commit.mark for commit in deque(Scan(path), 1)} <= marks}
+    return set()
 
 
 def number_of(path: Path) -> int:

@@ -9,6 +9,7 @@ import pytest
 
 from agent.overview import overview
 from env_controller.audit import compact as compact_module
+from env_controller.audit.checks import exit_code, verify
 from env_controller.audit.commands import document_of
 from env_controller.audit.compact import compact
 from luxloop.errors import InputError, LuxloopError
@@ -38,6 +39,19 @@ def facts(folder: Path) -> list[object]:
     """What a run says of itself, and its last steps."""
     journal = RunJournal(folder)
     return [journal.metadata("environment"), journal.metadata("run"), journal.attachments(), journal.last("/step", 3)]
+
+
+def interrupted(folder: Path, monkeypatch: pytest.MonkeyPatch, *, away: int = 0, remove: bool = False) -> None:
+    """A compaction that is killed when the one file is in place, and of the others so many are away."""
+
+    def swap(paths: list[Path], fresh: Path) -> None:
+        fresh.replace(paths[0])
+        for path in paths[1 : 1 + away]:
+            path.unlink()
+
+    with monkeypatch.context() as patch:
+        patch.setattr(compact_module, "_swap", swap)
+        compact(folder, remove=remove)
 
 
 @pytest.mark.parametrize("spill_bytes", [1, segment_module.SPILL_BYTES])
@@ -134,17 +148,59 @@ def test_nothing_is_replaced_by_what_differs(tmp_path: Path, monkeypatch: pytest
 def test_an_interrupted_compaction_is_ended_by_the_next(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, remove: bool
 ) -> None:
-    """Killed when the one file was in place and the others not yet away: verify complains, compact mends it."""
+    """Killed when the one file was in place and the others not yet away."""
     folder = tmp_path / "run"
     three_starts(folder)
     true = commits(folder)
-    with monkeypatch.context() as patch:
-        patch.setattr(compact_module, "_swap", lambda paths, fresh: fresh.replace(paths[0]))
-        compact(folder, remove=remove)
-    assert not sound(folder)
+    interrupted(folder, monkeypatch, remove=remove)
     done = compact(folder, remove=remove)
     assert (done.segments, commits(folder)) == (3, true)
     assert sound(folder)
+
+
+@pytest.mark.parametrize("away", [0, 1])
+def test_until_then_nobody_is_misled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, away: int) -> None:
+    """Verify and recover tell what is left and how to end it, and count it for nothing; who reads reads all once."""
+    folder = tmp_path / "run"
+    three_starts(folder)
+    true, records, mark = commits(folder), list(RunJournal(folder).records()), tail_of(folder)
+    interrupted(folder, monkeypatch, away=away)
+    told = f"left by an interrupted compaction; luxloop audit compact {folder} ends it"
+    left = [path.name for path in segments_of(folder)[1:]]
+    audit = verify(folder, None, None)
+    notes = [one for one in audit.findings if one.found == told]
+    assert [(one.what, one.verdict) for one in notes] == [(name, "note") for name in left]
+    assert (exit_code(audit), audit.mark) == (0, mark)
+    assert list(RunJournal(folder).records()) == records
+    code, document = ask("recover", folder)
+    assert [part["file"] for part in document["segments"] if part["found"] == told] == left
+    assert (code, document["lost"], commits(Path(document["out"]))) == (0, [], true)
+
+
+def test_a_run_that_went_on_in_between_is_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its new segment has the number behind those that are left, and follows the first when they are away."""
+    folder = tmp_path / "run"
+    in_segments(folder, 2, 2)
+    interrupted(folder, monkeypatch)
+    write_run(folder, 1, first=4)
+    true = [step.number for step in RunJournal(folder).steps()]
+    assert true == list(range(5))
+    assert sound(folder)
+    assert ask("recover", folder)[0] == 0
+    compact(folder)
+    assert [path.name for path in segments_of(folder)] == ["audit-0001.mcap", "audit-0002.mcap"]
+    assert sound(folder)
+    assert [step.number for step in RunJournal(folder).steps()] == true
+
+
+def test_a_segment_of_another_run_is_not_taken_for_one_that_is_left(tmp_path: Path) -> None:
+    """It begins before the first one's end too, but the first does not hold it."""
+    in_segments(tmp_path / "run", 4)
+    in_segments(tmp_path / "other", 2)
+    (other,) = segments_of(tmp_path / "other")
+    other.rename(tmp_path / "run" / "audit-0002.mcap")
+    assert exit_code(verify(tmp_path / "run", None, None)) == 5
+    assert len(RunJournal(tmp_path / "run").segments) == 2
 
 
 def test_one_that_was_interrupted_before_is_done_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -189,8 +189,8 @@ def test_a_router_that_is_there_is_used_and_stays(tmp_path: Path, settings: Sett
         ({"rate": -1.0}, "--rate"),
         ({"rate": float("nan")}, "--rate"),
         ({"topics": ("/steps",)}, "--topics"),
-        ({"start": 4}, "--from-step"),
-        ({"start": -1}, "--from-step"),
+        ({"start": 4}, "--start"),
+        ({"start": -1}, "--start"),
     ],
 )
 def test_what_cannot_be_played_is_refused(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import socket
 from pathlib import Path
 
@@ -118,6 +119,22 @@ def test_a_cache_of_nobody_is_refused() -> None:
     """`~nosuchuser` names no folder."""
     with pytest.raises(InputError, match="cache: got '~no-such-user/x'"):
         load_settings(cache="~no-such-user/x")
+
+
+def test_the_folder_of_effects_is_expanded_as_the_others_are(monkeypatch: pytest.MonkeyPatch) -> None:
+    """`LUXLOOP_EFFECTS=~/mine`; nobody's `~` is refused."""
+    monkeypatch.setenv("LUXLOOP_EFFECTS", "~/mine")
+    assert load_settings().effects_dir == Path.home() / "mine"
+    with pytest.raises(InputError, match="effects: got '~no-such-user/x'"):
+        load_settings(effects="~no-such-user/x")
+
+
+def test_every_room_asks_for_the_expanded_folder() -> None:
+    """Nobody reads a folder of the settings as it was typed, with its `~`."""
+    rooms = ("agent", "containers", "env_controller", "luxloop", "validation", "viewer")
+    files = [path for room in rooms for path in (Path(__file__).parents[2] / room).rglob("*.py")]
+    typed = re.compile(r"settings(\(\))?\.(cache|runs|effects|certs)\b")
+    assert [str(path) for path in files if typed.search(path.read_text(encoding="utf-8"))] == []
 
 
 @pytest.mark.parametrize("cache", ["file", "file/below", "n" * 300, "/proc/luxloop"])

@@ -62,6 +62,30 @@ def test_the_least_recently_used_go_first(tmp_path: Path) -> None:
     assert [store.get(name) is not None for name in names] == [True, True, False]
 
 
+def test_many_short_processes_stay_within_the_bound(tmp_path: Path) -> None:
+    """Each writes less than what one process may before it looks."""
+    for number in range(40):
+        BlobStore(tmp_path, max_bytes=1600).keep(bytes([number]) * 90)
+    assert sum(path.stat().st_size for path in tmp_path.glob("*/*")) <= 1600
+
+
+def test_a_blob_that_another_process_drops_meanwhile_is_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It was there a moment ago, and is gone when its use is noted."""
+    store = BlobStore(tmp_path)
+    path = file_of(tmp_path, store.keep(b"x"))
+
+    def pruned_first(*_: object) -> None:
+        path.unlink()
+        raise FileNotFoundError
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "utime", pruned_first)
+        store.keep(b"x")
+    assert path.read_bytes() == b"x"
+
+
 def test_a_blob_that_is_being_written_is_left_alone(tmp_path: Path) -> None:
     """Pruning drops what a killed process left an hour ago, not what somebody writes now."""
     store = BlobStore(tmp_path, max_bytes=10)

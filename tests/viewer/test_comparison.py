@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 from tests.pages import Parsed, loads_nothing, picture_loads_nothing
 from viewer import comparison_images as images
 from viewer.comparison import draw, furthest, page_of, worst_shot
+from viewer.comparison_curves import profile_picture
+from viewer.look import svg
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -318,6 +320,24 @@ def test_words_of_others_cannot_break_the_page() -> None:
     shot = image(arrays, "a", 16) | {"sample": "<script>alert(1)</script> & more"}
     parsed = loads_nothing(page_of(comparison([shot]), arrays))
     assert "<script>alert(1)</script> & more" in parsed.text
+
+
+def test_names_of_others_are_no_formulas() -> None:
+    """What stands between two $ is drawn as it is; and no axis relies on formulas."""
+    arrays: Arrays = {}
+    shots = [image(arrays, "a$x_$b", 16), spectrum(arrays, "c$y_$d")]
+    parsed = loads_nothing(page_of(comparison(shots), arrays))
+    assert not any(b"mathdefault" in picture for picture in parsed.pictures)
+    whole = comparison(shots, sentence="$z_$ differs")
+    assert b"$z_$ differs" in svg(worst_shot(whole, arrays))
+
+
+def test_a_power_has_plain_numbers_at_its_axis() -> None:
+    """Over decades, and within one."""
+    for powers, labels in (([400.0, 0.02], {"0.1", "1", "10", "100"}), ([1.4, 0.8], {"0.9", "1"})):
+        facts = {"shot": "a", "against": "spatial frequency", "unit": "1/mm", "x": [0.5, 1.0], "band": [0.01, 0.01]}
+        drawn = profile_picture([facts | {"power": powers}], {}).decode()
+        assert labels <= {*re.findall(r">([^<]*)</text>", drawn)}
 
 
 def test_an_image_without_a_used_pixel_is_drawn() -> None:

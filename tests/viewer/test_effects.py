@@ -20,7 +20,7 @@ def test_an_image_and_a_curve_are_drawn(tmp_path: Path) -> None:
     """A PNG each; by the name's ending a page that loads and runs nothing."""
     base = np.outer(np.hanning(9), np.hanning(9)) + 0.1
     axis = np.linspace(-100.0, 100.0, 9)
-    facts = {"effect": "mine", "formula": "E", "values": {"a": 0.1, "gain": [0.1, -0.1], "law": "flat"}}
+    facts = {"effect": "mine", "formula": "$E_$", "values": {"a": 0.1, "gain": [0.1, -0.1], "law": "flat"}}
     document: dict[str, Any] = facts | {"kind": "image", "rms_percent": 1.0, "mean_percent": 0.1}
     draw(document, {"base": base, "with": 1.1 * base, "x_um": axis, "y_um": axis}, tmp_path / "image.png")
     curves = {f"{name}/{which}": np.ones(5) for name in ("R", "T", "psi", "delta") for which in ("base", "with")}

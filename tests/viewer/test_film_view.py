@@ -39,6 +39,12 @@ def test_a_picture_is_of_the_kind_its_name_says(tmp_path: Path, ending: str, cur
     assert path.read_bytes().startswith(BEGINNINGS[ending])
 
 
+def test_a_name_is_no_formula(tmp_path: Path) -> None:
+    """What stands between two $ in a model's name is drawn as it is."""
+    draw(document([0.0, 10.0], [0.1, 0.2], model={"name": "a$x_$b"}), tmp_path / "film.svg")
+    assert "a$x_$b" in (tmp_path / "film.svg").read_text()
+
+
 def test_a_single_angle_is_a_point(tmp_path: Path) -> None:
     """One value is drawn as a mark (warnings are errors here)."""
     draw(document([0.0], [0.6]), tmp_path / "one.svg")

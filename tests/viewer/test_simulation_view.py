@@ -49,6 +49,12 @@ def arrays(level: float = 1e5) -> dict[str, Any]:
     }
 
 
+def test_a_name_is_no_formula(tmp_path: Path) -> None:
+    """What stands between two $ in a model's name is drawn as it is."""
+    draw(document(model={"name": "a$x_$b"}), arrays(), tmp_path / "map.svg")
+    assert "a$x_$b" in (tmp_path / "map.svg").read_text()
+
+
 @pytest.mark.parametrize("ending", sorted(BEGINNINGS))
 @pytest.mark.parametrize("array", [None, {"rows": 1, "columns": 2}])
 def test_a_picture_is_of_the_kind_its_name_says(tmp_path: Path, ending: str, array: Any) -> None:

@@ -69,6 +69,13 @@ def test_text_is_read_as_it_was_written() -> None:
     assert read_log(bytes.fromhex(LOG_HEX)) == LogLine("µ-LED", "warning", "designer")
 
 
+@pytest.mark.parametrize("level", ["06", "ffffffffffffffffff01"])
+def test_a_level_that_nobody_knows_is_refused(level: str) -> None:
+    """6 and -1, which protobuf reads."""
+    with pytest.raises(InputError, match=r"level: got (6|-1), allowed: 0 to 5"):
+        read_log(bytes.fromhex("10" + level))
+
+
 @pytest.mark.parametrize("name", [IMAGE, LOG])
 def test_a_schema_is_complete(name: str) -> None:
     """It brings the well-known Timestamp with it; a viewer has no other source."""
