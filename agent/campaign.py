@@ -42,7 +42,8 @@ class Runner:
     """Runs one campaign through a door. `stop_wanted` is looked at between steps.
 
     `past` is what the door knows already: walked again, those steps come back as they were. `on_turn` is called with
-    the runner where its `state` can be taken, `on_walk_end` when the walk has ended for good.
+    the runner where its `state` can be taken, `on_walk_end` when the walk has ended for good, `on_leave` when `run`
+    is left: after an error it lets go of what the door is still asked.
     """
 
     def __init__(
@@ -58,10 +59,12 @@ class Runner:
         past: Past | None = None,
         on_turn: Callable[[Runner], None] = lambda _: None,
         on_walk_end: Callable[[WalkEnd], None] = lambda _: None,
+        on_leave: Callable[[], None] = lambda: None,
     ) -> None:
         self._door, self.designer, self._stop, self._look = door, designer, stop, look
         self._lanes, self._seed, self._stop_wanted = lanes, seed, stop_wanted
         self._past, self._on_turn, self._on_walk_end = past or Past(), on_turn, on_walk_end
+        self._on_leave = on_leave
         self._numbers = [0] * lanes
         self._turn, self._end = 0, WalkEnd(0, "")
         self._under_way: dict[int, tuple[Proposal, Future[Step]]] = {}
@@ -92,16 +95,22 @@ class Runner:
         self.progress = Progress.of_plain(words["progress"], self._past.wall_s)
 
     def run(self, finalists: int, *, without_dbr: bool = True) -> Found:
-        """Walk until a reason to stop, then evaluate the best designs anew; they are told nobody but the journal."""
-        with ThreadPoolExecutor(self._lanes, thread_name_prefix="lane") as pool:
-            try:
-                self._resend(pool)
-                self._walk(pool)
-                if self._past.end is None:
-                    self._on_walk_end(self._end)
-                return self._finals(pool, self._end.reason, finalists, without_dbr)
-            except Interrupted:
-                return Found(INTERRUPTED, self.progress, (), None, None, None)
+        """Walk until a reason to stop, then evaluate the best designs anew; they are told nobody but the journal.
+
+        Left with an error, a second Ctrl-C among them, nothing under way is waited for.
+        """
+        pool = ThreadPoolExecutor(self._lanes, thread_name_prefix="lane")
+        try:
+            self._resend(pool)
+            self._walk(pool)
+            if self._past.end is None:
+                self._on_walk_end(self._end)
+            return self._finals(pool, self._end.reason, finalists, without_dbr)
+        except Interrupted:
+            return Found(INTERRUPTED, self.progress, (), None, None, None)
+        finally:
+            self._on_leave()
+            pool.shutdown(wait=True, cancel_futures=True)
 
     def _resend(self, pool: ThreadPoolExecutor) -> None:
         """What was under way when the state was taken is asked for once more."""
@@ -196,7 +205,8 @@ class Runner:
     def _finals(self, pool: ThreadPoolExecutor, reason: str, count: int, without_dbr: bool) -> Found:
         """The best of the walk and where it began, then the winner once more and without its mirror.
 
-        All with seeds of their own at the final fidelity.
+        All with seeds of their own at the final fidelity. Finalists that failed come last; where all have, the first
+        is tried once more.
         """
         self.progress.stage = FINALISTS
         self._look(self.progress)
@@ -206,7 +216,7 @@ class Runner:
         wanted: list[tuple[Role, Design]] = [("finalist", Design.from_vector(key)) for key in best]
         first = self._evaluated(pool, [*wanted, ("start", start.design)] if start else wanted)
         began = first.pop() if start else None
-        finalists = tuple(sorted(first, key=lambda step: -step.uniformity))
+        finalists = tuple(sorted(first, key=lambda step: (step.failure is not None, -step.uniformity)))
         if not finalists:
             return Found(reason, self.progress, (), began, None, None)
         winner = finalists[0].design

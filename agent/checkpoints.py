@@ -22,7 +22,7 @@ from luxloop.words import sha256_of
 if TYPE_CHECKING:
     from agent.campaign import Runner
 
-FOLDER, PATTERN = "checkpoints", "checkpoint-*.npz"
+FOLDER, PATTERN, ASIDE = "checkpoints", "checkpoint-*.npz", ".aside"
 EVERY_STEPS = 50
 KEPT = 3
 MAX_BYTES = 1 << 30
@@ -53,7 +53,8 @@ class Checkpoints:
         try:
             self._folder.mkdir(exist_ok=True)
             _write_whole(path, Checkpoint(words, state.arrays).to_bytes())
-            for old in self._newest_first()[KEPT:]:
+            others = [one for one in self._newest_first() if one != path]
+            for old in others[KEPT - 1 :]:
                 old.unlink(missing_ok=True)
         except OSError as error:
             if not self._refused:
@@ -67,8 +68,8 @@ class Checkpoints:
     def restored(self, make: Callable[[], Runner], steps: Collection[Step]) -> Runner:
         """A runner in its newest state that fits the steps on record; a fresh one where there is none.
 
-        What does not fit is told and left aside: damaged, of another release or plan, ahead of the journal, or of
-        other steps.
+        What does not fit is told and left aside, under a name that is no checkpoint's: damaged, of another release
+        or plan, ahead of the journal, or of other steps.
         """
         for path in self._newest_first():
             runner = make()
@@ -78,6 +79,8 @@ class Checkpoints:
                 runner.restore(Checkpoint(words["runner"], arrays))
             except (LuxloopError, OSError, LookupError, TypeError, ValueError) as error:
                 self._warn(f"{path.name} is left aside ({error}); an older one, or the journal alone, will do")
+                with suppress(OSError):
+                    path.replace(path.with_suffix(ASIDE))
                 continue
             self._saved_steps = runner.progress.steps
             return runner

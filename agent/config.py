@@ -112,7 +112,8 @@ class Campaign(Words):
 def read_campaign(path: Path | None, **given: Any) -> Campaign:
     """The settings in a TOML file (none: the defaults), what is given (not None) over them.
 
-    `bounds` may be a preset's name. Raises InputError naming file, field, value and range.
+    `bounds` may be a preset's name; `learning` goes over the designer's preset. Raises InputError naming file, field,
+    value and range.
     """
     plain: dict[str, Any] = _toml(path) if path else {}
     for name, value in given.items():
@@ -124,7 +125,37 @@ def read_campaign(path: Path | None, **given: Any) -> Campaign:
                 plain[name] = value
     if isinstance(plain.get("bounds"), str):
         plain["bounds"] = Bounds.preset(plain["bounds"]).model_dump()
-    return parse(Campaign, plain, str(path) if path else "campaign")
+    where = str(path) if path else "campaign"
+    own = plain.get("learning")
+    if isinstance(own, dict):
+        preset = parse(Campaign, {**plain, "learning": None}, where).learner
+        plain["learning"] = _over(preset, own) if preset else own
+    campaign = parse(Campaign, plain, where)
+    if campaign.learning is not None:
+        _refuse_unmeant(campaign, campaign.learning, f"{where}: learning")
+    return campaign
+
+
+def _over(preset: Learning, own: dict[str, Any]) -> dict[str, Any]:
+    """A preset with settings of one's own over it; another rule of restart leaves the preset's patience behind."""
+    patience = {} if own.get("restart", preset.restart) == preset.restart else {"patience": None}
+    return preset.model_dump() | patience | own
+
+
+def _refuse_unmeant(campaign: Campaign, learning: Learning, where: str) -> None:
+    """InputError for a learner's settings that make it another one than is named, or would have no effect.
+
+    Only what a person asks for is looked at: a run on record is what it was.
+    """
+    if learning.name != campaign.designer:
+        mend = f"leave profile and random_actions out, or take the designer {learning.name}"
+        raise InputError(where, learning.name, f"settings of the designer, {campaign.designer}", mend)
+    if learning.patience is not None and learning.restart != "best":
+        mend = f"leave it out: with {learning.restart!r} nothing is waited for"
+        raise InputError(f"{where}.patience", learning.patience, 'with restart = "best" only', mend)
+    if learning.restart == "start" and campaign.start is None and learning.start is None:
+        mend = "say where under [start], with all five lengths of a design"
+        raise InputError(f"{where}.restart", learning.restart, "only where a start is given", mend)
 
 
 def _toml(path: Path) -> dict[str, Any]:
@@ -132,5 +163,5 @@ def _toml(path: Path) -> dict[str, Any]:
         return tomllib.loads(path.read_text())
     except OSError as error:
         raise InputError("--config", str(path), "a TOML file that can be read", error.strerror or "") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except (ValueError, RecursionError) as error:
         raise InputError("--config", str(path), "TOML", str(error)) from error

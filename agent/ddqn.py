@@ -23,13 +23,14 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from agent.ask_tell import Checkpoint, Known, Lanes, Proposal, refuse_another
 from agent.memory import Batch, Memory
 from agent.moves import Key, Moves, Profile, Space, start_of
 from luxloop.campaign import Reward, Step
 from luxloop.design import Design
+from luxloop.errors import InputError
 from luxloop.words import Words
 
 if TYPE_CHECKING:
@@ -70,6 +71,12 @@ class Learning(Words):
     learning_rate: float = Field(1e-3, gt=0.0, le=1.0, description="Of Adam.")
     width: int = Field(64, ge=1, le=1024, description="Neurons in each of the two hidden layers (ReLU).")
     random_actions: bool = Field(False, description="No network: every move is random. The ablation of all learning.")
+
+    @model_validator(mode="after")
+    def _a_minibatch_comes_together(self) -> Learning:
+        if self.batch > self.replay:
+            raise InputError("batch", self.batch, f"at most replay, {self.replay}", "else nothing is ever learnt")
+        return self
 
     @property
     def name(self) -> str:

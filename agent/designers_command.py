@@ -52,7 +52,7 @@ def compare(
 ) -> None:
     """Let several designers look in the same place; how good what they found is, and how soon."""
     from agent.comparison import compare as compared
-    from agent.comparison import rows
+    from agent.comparison import refuse_own, rows
     from agent.config import read_campaign
     from agent.designers import NAMES
     from agent.launch import launch, running_set
@@ -67,6 +67,7 @@ def compare(
         config, bounds=bounds, method=method, walk_error_points=walk_error, final_error_points=final_error,
         lanes=lanes, stop__evaluations=evaluations,
     )  # fmt: skip
+    refuse_own(campaign)
     show = sys.stderr.isatty() and not (as_json or quiet)
     begun = f"{datetime.now(UTC):%Y%m%d-%H%M%S}"
     with running_set(settings, local=not no_local) as shared:

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from agent.report_under import film_request, with_film
+from luxloop.bus import Interrupt
 from luxloop.campaign import Action, Plan, Step
 from luxloop.design import Design
 from luxloop.door import RunDoor
@@ -73,11 +74,14 @@ def sources(model: Model, folder: Path) -> dict[str, str]:
 
 
 class EffectsKept:
-    """The door of a run whose workers must go on knowing its effects; `on_record` are the steps of earlier starts."""
+    """The door of a run whose workers must go on knowing its effects; `on_record` are the steps of earlier starts.
 
-    def __init__(self, door: RunDoor, on_record: Collection[Step] = ()) -> None:
+    Once `left` is set, nobody waits any longer for what is under way.
+    """
+
+    def __init__(self, door: RunDoor, on_record: Collection[Step] = (), left: Interrupt | None = None) -> None:
         self.run, self.designer = door.run, door.designer
-        self._door = door
+        self._door, self._left = door, left
         self._known = {(step.lane, step.number) for step in on_record}
 
     def act(self, action: Action) -> Step:
@@ -85,7 +89,7 @@ class EffectsKept:
 
         A step on record that failed so is past: the run was gone on with since.
         """
-        step = self._door.act(action)
+        step = self._door.act(action, self._left)
         failure = step.failure
         if failure is not None and failure.code == UNKNOWN and (step.lane, step.number) not in self._known:
             message = f"the run {self.run} stops: {failure.message}; allowed: {failure.allowed}"

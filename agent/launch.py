@@ -21,10 +21,12 @@ from agent.checkpoints import Checkpoints
 from agent.config import Campaign
 from agent.designers import designer
 from agent.effects_tried import EffectsKept, roomiest, sources, try_effects
+from agent.in_words import plain
 from agent.live import live
 from agent.moves import Space
 from agent.progress import WALK, Found, Past, Progress
 from luxloop import __version__
+from luxloop.bus import Interrupt
 from luxloop.campaign import Ended, Plan, RunId, Step
 from luxloop.client import Client
 from luxloop.door import LOST_S, RunDoor
@@ -60,6 +62,7 @@ class Launched:
             "root": self.ended.root,
             "interrupted": self.interrupted,
             **self.found.summary(),
+            "best": plain(self.found.sound_best),
         }
 
 
@@ -160,7 +163,7 @@ class Start:
             "model.toml": to_toml(self.model),
             "campaign.json": canonical(self.campaign).decode(),
             "packages.txt": packages(),
-            **sources(self.model, self.settings.effects),
+            **sources(self.model, self.settings.effects_dir),
         }
         for point in entry_points(group="luxloop.attachments"):
             files |= point.load()(self.model.environment)
@@ -177,15 +180,15 @@ class Start:
         self, door: RunDoor, checkpoints: Checkpoints, look: Callable[[Progress], None], interrupted: threading.Event
     ) -> Runner:
         """A fresh designer, and what drives it."""
-        campaign = self.campaign
+        campaign, left = self.campaign, Interrupt()
         chooser = designer(
             campaign.designer, Space.of(self.plan), seed=campaign.seed, lanes=campaign.lanes, start=campaign.start,
             learning=campaign.learner,
         )  # fmt: skip
         return Runner(
-            EffectsKept(door, self.on_record), chooser, campaign.stop, lanes=campaign.lanes, seed=campaign.seed,
+            EffectsKept(door, self.on_record, left), chooser, campaign.stop, lanes=campaign.lanes, seed=campaign.seed,
             look=look, stop_wanted=interrupted.is_set, past=self.past, on_turn=checkpoints.on_turn,
-            on_walk_end=lambda end: door.note(log=end.line),
+            on_walk_end=lambda end: door.note(log=end.line), on_leave=left.set,
         )  # fmt: skip
 
 

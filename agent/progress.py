@@ -69,8 +69,14 @@ class Found:
     """The best finalist, evaluated once more: the best of five noisy numbers is flattered, this one is not."""
     without_dbr: Step | None
 
+    @property
+    def sound_best(self) -> Step | None:
+        """What is reported as the best: where its last evaluation failed, the best finalist that did not."""
+        evaluated = (self.best, *self.finalists)
+        return next((step for step in evaluated if step is not None and step.failure is None), None)
+
     def summary(self) -> dict[str, Any]:
-        """The result as plain values, for the journal and for `--json`."""
+        """The result as plain values, as it stands in the journal: with what failed."""
         seen = self.progress
         return {
             "reason": self.reason,

@@ -41,13 +41,14 @@ def as_text(document: dict[str, Any]) -> list[str]:
     ]
     best, start, bare = (document[name] for name in ("best", "start", "without_dbr"))
     if best:
-        lines.append(f"best         {line(best)}")
-        lines += [f"finalist {i}   {line(one)}" for i, one in enumerate(document["finalists"], 1)]
+        again = "" if best not in document["finalists"] else "  (evaluated once: once more, it failed)"
+        lines.append(f"best         {line(best)}{again}")
+    lines += [f"finalist {i}   {line(one)}" for i, one in enumerate(document["finalists"], 1)]
     if start:
         lines.append(f"start        {line(start)}")
     if bare:
         lines.append(f"without DBR  {line(bare)}")
-    if best and start:
+    if best and start and not (best["failure"] or start["failure"]):
         gain = 100.0 * (best["uniformity"] - start["uniformity"])
         error = 100.0 * (best["uniformity_error"] ** 2 + start["uniformity_error"] ** 2) ** 0.5
         lines.append(f"gained       {gain:+.2f} +- {error:.2f} points over the start")

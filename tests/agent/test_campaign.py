@@ -5,16 +5,22 @@ from __future__ import annotations
 import random
 import threading
 import time
+from pathlib import Path
 from typing import Any
 
 import pytest
 
+from agent import designers_command
 from agent.campaign import Runner, fresh_seed
+from agent.comparison import Trial, compare, rows
 from agent.config import Campaign, Stop, read_campaign
+from agent.ddqn import Learning
 from agent.designers import designer
+from agent.launch import Launched
 from agent.moves import Space
-from agent.progress import Found
-from luxloop.campaign import Action, Step
+from agent.progress import Found, Progress
+from agent.telling import as_text
+from luxloop.campaign import Action, Ended, Step
 from luxloop.design import Bounds, Design
 from luxloop.errors import InputError
 from luxloop.failure import Failure
@@ -173,6 +179,74 @@ def test_an_interrupted_campaign_waits_for_what_is_under_way() -> None:
     assert [chooser.awaited(lane) is not None for lane in (0, 1)] == [True, True]
 
 
+@pytest.mark.parametrize("last", [False, True])
+def test_left_at_once_a_campaign_waits_for_nothing(last: bool) -> None:
+    """A second Ctrl-C in the walk or among the finalists: what is under way is let go of."""
+    left = threading.Event()
+
+    class Slow(Door):
+        def act(self, action: Action) -> Step:
+            if action.lane and action.final == last:
+                assert left.wait(30.0)
+            return super().act(action).model_copy(update={"final": action.final})
+
+    def look(progress: Progress) -> None:
+        if progress.last is not None and progress.last.final == last:
+            raise KeyboardInterrupt
+
+    chooser = designer("random", Space(BOUNDS), seed=1, lanes=3)
+    runner = Runner(Slow(), chooser, Stop(evaluations=9), lanes=3, seed=1, look=look, on_leave=left.set)
+    began_s = time.monotonic()
+    with pytest.raises(KeyboardInterrupt):
+        runner.run(5)
+    assert time.monotonic() - began_s < 20.0
+
+
+def final_failures(*roles: str) -> Found:
+    """What a campaign came to whose final evaluations for these purposes failed."""
+
+    class Failing(Door):
+        def act(self, action: Action) -> Step:
+            step = super().act(action)
+            failure = Failure(code="worker_lost", message="three attempts")
+            return step.model_copy(update={"failure": failure, "uniformity": 0.0}) if action.role in roles else step
+
+    return found(Failing(), evaluations=20)[0]
+
+
+def text_of(result: Found) -> str:
+    """What a person is told of it."""
+    ended = Ended(run="one", folder="runs/one", records=1, root="0" * 64)
+    return "\n".join(as_text(Launched("one", result, ended, interrupted=False).document()))
+
+
+def test_a_best_that_failed_is_told_as_the_best_finalist() -> None:
+    """Not as 0 %: with the reason, in the document too; the journal holds what happened."""
+    result = final_failures("best")
+    document = Launched("one", result, Ended(run="one", folder="f", records=1, root="0" * 64), False).document()
+    assert result.summary()["best"]["failure"]
+    assert document["best"] == document["finalists"][0]
+    assert not document["best"]["failure"]
+    assert "once more, it failed" in text_of(result)
+    assert "gained       +" in text_of(result)
+    (row,) = rows([Trial("a", 1, (0.5,), 1, result)])
+    assert row["best_worst"] == row["best_of_all"] == result.finalists[0].uniformity
+
+
+@pytest.mark.parametrize("roles", [("start",), ("best", "finalist")])
+def test_what_failed_is_no_number(roles: tuple[str, ...]) -> None:
+    """No gain over a start that failed; no best where all failed, and nothing of it in a comparison."""
+    result = final_failures(*roles)
+    text = text_of(result)
+    assert "gained" not in text
+    assert "failed: worker_lost" in text
+    if "best" in roles:
+        assert "best   " not in text
+        assert "finalist 1   failed" in text
+        (row,) = rows([Trial("a", 1, (0.5,), 1, result)])
+        assert row["best_median"] is None
+
+
 def test_a_door_that_breaks_ends_the_campaign_with_its_error() -> None:
     """Nothing hangs."""
 
@@ -209,6 +283,12 @@ def test_a_plan_says_what_the_controller_must_know() -> None:
         ("lanes = 0", "lanes"),
         ("[stop]\nevaluations = 0", "stop.evaluations"),
         ("designer = 'pattern'\n[learning]\ngamma = 0.5", "learning"),
+        ("learning = 3", "learning"),
+        ("[learning]\nrandom_actions = true", "learning"),
+        ("designer = 'ddqn-paper'\n[learning]\nprofile = 'fast'", "learning"),
+        ("designer = 'ddqn-paper'\n[learning]\npatience = 5", "learning.patience"),
+        ("[learning]\nrestart = 'start'", "learning.restart"),
+        ("[learning]\nreplay = 16", "learning.batch"),
         ("bounds = 'none'", "bounds"),
         ("lanes = ", "--config"),
     ],
@@ -236,6 +316,50 @@ def test_options_go_over_the_file(tmp_path: Any) -> None:
     path.write_text("seed = 4\nlanes = 2\n[stop]\nevaluations = 9\ntime_s = 5.0")
     campaign = read_campaign(path, seed=7, lanes=None, stop__evaluations=11)
     assert (campaign.seed, campaign.lanes, campaign.stop.evaluations, campaign.stop.time_s) == (7, 2, 11, 5.0)
+
+
+@pytest.mark.parametrize("name", ["ddqn-fast", "ddqn-fast-random", "ddqn-paper", "ddqn-paper-random"])
+def test_a_learner_s_settings_go_over_the_preset_of_its_name(name: str, tmp_path: Path) -> None:
+    """What is not said is the designer's own, and it is the designer that the run is called after."""
+    path = tmp_path / "campaign.toml"
+    path.write_text("[learning]\ngamma = 0.6")
+    plain = read_campaign(None, designer=name)
+    learner = read_campaign(path, designer=name).learner
+    assert learner is not None
+    assert learner.name == name
+    assert learner == plain.learner.model_copy(update={"gamma": 0.6})  # type: ignore[union-attr]
+
+
+def test_another_rule_of_restart_leaves_the_preset_s_patience_behind(tmp_path: Path) -> None:
+    """It belongs to the rule; a start may be said in two places."""
+    path = tmp_path / "campaign.toml"
+    path.write_text("[learning]\nrestart = 'random'")
+    assert read_campaign(path).learner.patience is None  # type: ignore[union-attr]
+    path.write_text("[learning]\nrestart = 'start'")
+    assert read_campaign(path, start=BOUNDS.high).learner.restart == "start"  # type: ignore[union-attr]
+
+
+def test_a_run_on_record_is_what_it_was() -> None:
+    """Settings that would be refused now are read back as they were, so that the run can be walked again."""
+    learning = Learning(patience=5)
+    recorded = Campaign(designer="ddqn-fast-random", learning=learning).model_dump(mode="json")
+    assert Campaign.model_validate(recorded).learner == learning
+
+
+@pytest.mark.parametrize("changes", [{"learning": Learning(profile="fast")}, {"reward": "r2"}])
+def test_a_comparison_refuses_what_one_designer_alone_could_have(changes: dict[str, Any]) -> None:
+    """Before any run."""
+    with pytest.raises(InputError, match=next(iter(changes))):
+        compare(Campaign(**changes), ["random"], [1], lambda *_: pytest.fail("a run"))
+
+
+def test_the_command_refuses_it_before_a_set_is_started(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing of the file is dropped in silence."""
+    monkeypatch.setattr("agent.launch.running_set", lambda *_, **__: pytest.fail("a set"))
+    path = tmp_path / "campaign.toml"
+    path.write_text("[learning]\ngamma = 0.6")
+    with pytest.raises(InputError, match="--config: learning"):
+        designers_command.compare(config=path)
 
 
 def test_bounds_without_a_feasible_design_are_refused() -> None:

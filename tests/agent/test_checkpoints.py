@@ -160,6 +160,30 @@ def test_what_does_not_fit_is_left_aside_for_an_older_one(tmp_path: Path, harm: 
     assert "left aside" in warnings[0]
 
 
+def test_checkpoints_ahead_of_a_recovered_journal_make_room_for_new_ones(tmp_path: Path) -> None:
+    """Left aside under another name; what is saved afterwards, of fewer steps, is there the next time."""
+    door, warnings = Remembering(), list[str]()
+    kept(tmp_path, door, warnings)
+    steps = [step for key, step in door.steps.items() if key[1] < 10]
+    checkpoints = Checkpoints(tmp_path, PLAN, warnings.append)
+    runner = checkpoints.restored(lambda: a_runner(door), steps)
+    assert (runner.progress.steps, len(warnings)) == (0, c.KEPT)
+    assert {path.suffix for path in (tmp_path / c.FOLDER).iterdir()} == {c.ASIDE}
+    checkpoints.save(runner)
+    assert checkpoints.restored(lambda: a_runner(door), steps).progress.steps == 0
+    assert len(warnings) == c.KEPT
+
+
+def test_what_was_just_saved_is_not_the_oldest(tmp_path: Path) -> None:
+    """Whatever lies there of more steps."""
+    door = Remembering()
+    kept(tmp_path, door, [])
+    Checkpoints(tmp_path, PLAN, pytest.fail).save(a_runner(door))
+    names = sorted(path.name for path in (tmp_path / c.FOLDER).iterdir())
+    assert names[0] == "checkpoint-00000000.npz"
+    assert len(names) == c.KEPT
+
+
 def test_a_disk_that_is_full_is_told_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The run goes on; nothing half written is left."""
 

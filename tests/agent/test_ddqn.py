@@ -220,6 +220,12 @@ def test_fast_comes_within_half_a_point_of_the_best_in_400_evaluations() -> None
 
 def test_hyper_parameters_out_of_range_are_named() -> None:
     """Unknown keys and values that cannot be are refused with their path."""
-    for wrong in ({"gamma": 1.0}, {"episode": 0}, {"profil": "fast"}, {"learning_rate": float("nan")}):
+    for wrong in (
+        {"batch": 33, "replay": 32},
+        {"gamma": 1.0},
+        {"episode": 0},
+        {"profil": "fast"},
+        {"learning_rate": float("nan")},
+    ):
         with pytest.raises(InputError, match=next(iter(wrong))):
             parse(Learning, wrong)

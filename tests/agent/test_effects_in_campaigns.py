@@ -269,7 +269,7 @@ def test_an_effect_without_influence_is_said_before_a_run_begins() -> None:
 def test_an_effect_that_is_lost_on_the_way_stops_the_run() -> None:
     """With how to go on; a lost worker does not, nor what is on record from an earlier start."""
     steps: list[Step] = []
-    door = SimpleNamespace(run="one", designer="d", act=lambda _: steps[-1])
+    door = SimpleNamespace(run="one", designer="d", act=lambda *_: steps[-1])
     kept: Callable[[Any], Step] = EffectsKept(door, [lost_at(4, "unknown_effect")]).act  # type: ignore[arg-type]  # duck
     for step in (lost_at(3, "worker_lost"), lost_at(4, "unknown_effect")):
         steps.append(step)

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -160,6 +161,21 @@ def test_ctrl_c_finishes_the_steps_under_way_and_the_journal(running: Set) -> No
     assert "luxloop campaign resume stop" in out
     assert (journal / "audit.sha256").exists()
     assert "finished; left early: interrupted" in luxloop(running, "audit", "info", "stop").stdout
+
+
+def test_a_second_ctrl_c_waits_for_no_evaluation(running: Set) -> None:
+    """The only ray worker naps for minutes: exit at once, and the run is there to be gone on with."""
+    running.workers[-1].kill()
+    running.add(PRETEND, "ray", "300")
+    argv = [sys.executable, "-m", "luxloop", "campaign", "run", "--no-local", "--id", "left"]
+    process = subprocess.Popen(argv, env=as_environment(running.settings), stderr=subprocess.DEVNULL)
+    with Client(running.settings, local=False) as client:
+        wait_for(lambda: client.status().running > 0, "an evaluation under way", 60.0)
+    process.send_signal(signal.SIGINT)
+    time.sleep(1.0)
+    process.send_signal(signal.SIGINT)
+    assert process.wait(20) != 0
+    assert "interrupted" in luxloop(running, "audit", "info", "left").stdout
 
 
 def luxloop(running: Set, *argv: str) -> subprocess.CompletedProcess[str]:
