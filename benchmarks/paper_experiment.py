@@ -64,7 +64,9 @@ def report(trials: dict[str, list[Trial]]) -> None:
     top = max(value for own in trials.values() for trial in own for value in trial.uniformity)
     rows = []
     for label, own in trials.items():
-        best = sorted((trial.found.sound_best for trial in own if trial.found.sound_best), key=lambda step: step.uniformity)
+        best = sorted(
+            (trial.found.sound_best for trial in own if trial.found.sound_best), key=lambda step: step.uniformity
+        )
         came = [evaluations_to(trial.uniformity, top - WITHIN_POINTS / 100.0) for trial in own]
         reached = [count for count in came if count is not None]
         middle = best[len(best) // 2]
