@@ -15,9 +15,9 @@ from containers.ray_tracing.twin.columns import COLUMNS, film_column
 from containers.ray_tracing.twin.module import ModuleTwin
 from containers.ray_tracing.twin.prediction import EFFECTIVE, Anchor, Shot, Supply, jacobian, twin_images
 from containers.ray_tracing.twin.reweighting import reweighted
-from containers.scene import Array, Scene
+from containers.scene import Array, Face, Scene
 from luxloop.camera import Camera
-from tests.ray_scenes import scene, taking
+from tests.ray_scenes import N, bare, scene, taking
 
 SIGMA = np.radians(5.0)
 
@@ -151,6 +151,19 @@ def test_a_chip_with_another_emission_has_one_walk_at_any_absorption(dim: tuple[
     assert not np.array_equal(before.rays, exits[0].rays)
     own = make_exits(moved(1e-3, 0.9), 2, 8 * BLOCK, notes=True)
     assert leaving(exits[2]) == pytest.approx(leaving(own), rel=0.01)
+
+
+def test_chips_that_shine_in_other_colours_do_not_share_their_exits(dim: tuple[Scene, Exits]) -> None:
+    """The same chip, substrate and emission, and other weights of the line: another walk."""
+    _, exits = dim
+    face = Face(bare().inside * 2, bare().outside * 2)
+    colours = {"index": np.array([N, N]), "top": face, "sides": face}
+    two = scene(colours, wavelength_weight=np.array([0.5, 0.5]))
+    walks: list[Scene] = []
+    supply = Supply(lambda s: (walks.append(s), exits)[1])
+    for one in (two, replace(two, wavelength_weight=np.array([0.1, 0.9])), two):
+        supply.of(one)
+    assert len(walks) == 2
 
 
 def leaving(exits: Exits) -> float:

@@ -28,7 +28,7 @@ Ask = Callable[[Sequence[FilmMeasurementRequest]], "list[Answer]"]
 
 CAUCHY = ("a", "b_um2")
 THICKNESS_SHARE = 1e-5
-"""Of a thickness, where that is more than its step of 0.1 nm: a thick layer is known to nothing better."""
+"""Of a thickness, where that is more than its step of 0.01 nm: a thick layer is known to nothing better."""
 EFFECT_SHARE = 0.0005
 """Of the range of an effect's parameter: curves have no noise, and what is small bends within a part of its range (of
 a spread of 0.002, a step as long, 2 % of its range, told errors 27 % too large)."""

@@ -145,7 +145,7 @@ class Supply:
 
     def _key(self, scene: Scene) -> str:
         """Of its chip; the scene is kept, so that no other gets its ids."""
-        ids = id(scene.chip), id(scene.substrate), id(scene.emission)
+        ids = id(scene.chip), id(scene.substrate), id(scene.emission), id(scene.wavelength_weight)
         return remembered(self._known, ids, lambda: (scene, chip_key(scene)))[1]
 
 
