@@ -210,9 +210,9 @@ class ExitStore:
         found, total = [], wanted_bytes
         for path in self._folder.iterdir():
             with contextlib.suppress(FileNotFoundError):  # another process took it away
-                if path.name.startswith(WRITING) and _is_abandoned(path):
-                    path.unlink()
-                elif path.suffix == ENDING or path.name.startswith(WRITING):
+                if path.name.startswith(WRITING) and _gone_if_abandoned(path):
+                    continue
+                if path.suffix == ENDING or path.name.startswith(WRITING):
                     state = path.stat()
                     total += state.st_size
                     found.append((state.st_mtime_ns, path, state.st_size))
@@ -298,13 +298,17 @@ def _hash(file: BufferedReader, size: int) -> bytes:
     return digest.digest()
 
 
-def _is_abandoned(path: Path) -> bool:
-    """Whether nobody alive is writing this file: a lock ends with its process."""
+def _gone_if_abandoned(path: Path) -> bool:
+    """Take a file away that nobody alive is writing, and whether it was one: a lock ends with its process.
+
+    Under the lock, for whoever has just begun a file locks it next, and looks whether it is still there.
+    """
     with path.open("rb") as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             return False
+        path.unlink()
     return True
 
 

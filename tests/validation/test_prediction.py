@@ -249,6 +249,15 @@ def test_derivatives_by_a_mirror_are_those_of_one_walk(workers: Workers, model: 
     assert np.corrcoef(*slopes)[0, 1] > 0.95
 
 
+def test_images_of_one_sample_are_asked_for_together() -> None:
+    """Twice four samples at 128 x 128: five images are a request's; parted, one run's noise would be told apart."""
+    samples = [SINGLE.model_copy(update={"id": f"s{number}"}) for number in range(4)]
+    views = [view(sample, size=128) for sample in (*samples, *samples)]
+    groups = list(images_module._groups(views, images_module.MOST_VALUES // (5 * 128 * 128)))
+    assert groups == [[0, 4, 1, 5], [2, 6, 3, 7]]
+    assert list(images_module._together([[1, 2, 3], [4], [5, 6]], 2)) == [[1, 2], [3, 4], [5, 6]]
+
+
 def test_more_shots_than_a_request_holds_are_split(
     workers: Workers, model: Model, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -7,7 +7,7 @@ way at once: parameters by which the worker differentiates are its columns, othe
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -302,14 +302,33 @@ def _groups_of(some: Sequence[int], moves: Sequence[_Move], views: Sequence[View
 
 
 def _groups(views: Sequence[View], times: int, at: Anchored | None = None) -> Iterator[list[int]]:
-    """Numbers of views of one size, and of as many histories, as many together as a request and its answer hold."""
-    alike: dict[tuple[int, int, int], list[int]] = {}
+    """Numbers of views of one size, and of as many histories, as many together as a request and its answer hold.
+
+    Views of one sample see one run of Monte Carlo, whose noise is told by the same functions only within a request:
+    they are parted only where they are more than one holds.
+    """
+    alike: dict[tuple[int, int, int], dict[str, list[int]]] = {}
     for number, view in enumerate(views):
         histories = 0 if at is None else at.histories_of(view.sample.id)
-        alike.setdefault((view.rows, view.columns, histories), []).append(number)
-    for (rows, columns, _), numbers in alike.items():
-        most = max(1, min(MOST_SHOTS, MOST_VALUES // (rows * columns * times)))
-        yield from (numbers[first : first + most] for first in range(0, len(numbers), most))
+        samples = alike.setdefault((view.rows, view.columns, histories), {})
+        samples.setdefault(view.sample.id, []).append(number)
+    for (rows, columns, _), samples in alike.items():
+        yield from _together(samples.values(), max(1, min(MOST_SHOTS, MOST_VALUES // (rows * columns * times))))
+
+
+def _together(parts: Iterable[list[int]], most: int) -> Iterator[list[int]]:
+    """Groups of at most so many, of whole parts where these are no more than that."""
+    group: list[int] = []
+    for part in parts:
+        if group and len(group) + len(part) > most:
+            yield group
+            group = []
+        group = group + part
+        while len(group) > most:
+            yield group[:most]
+            group = group[most:]
+    if group:
+        yield group
 
 
 def _real(array: Any) -> Real:
