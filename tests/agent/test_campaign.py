@@ -327,16 +327,16 @@ def test_a_learner_s_settings_go_over_the_preset_of_its_name(name: str, tmp_path
     learner = read_campaign(path, designer=name).learner
     assert learner is not None
     assert learner.name == name
-    assert learner == plain.learner.model_copy(update={"gamma": 0.6})  # type: ignore[union-attr]
+    assert learner == plain.learner.model_copy(update={"gamma": 0.6})  # type: ignore[union-attr]  # it learns
 
 
 def test_another_rule_of_restart_leaves_the_preset_s_patience_behind(tmp_path: Path) -> None:
     """It belongs to the rule; a start may be said in two places."""
     path = tmp_path / "campaign.toml"
     path.write_text("[learning]\nrestart = 'random'")
-    assert read_campaign(path).learner.patience is None  # type: ignore[union-attr]
+    assert read_campaign(path).learner.patience is None  # type: ignore[union-attr]  # it learns
     path.write_text("[learning]\nrestart = 'start'")
-    assert read_campaign(path, start=BOUNDS.high).learner.restart == "start"  # type: ignore[union-attr]
+    assert read_campaign(path, start=BOUNDS.high).learner.restart == "start"  # type: ignore[union-attr]  # it learns
 
 
 def test_a_run_on_record_is_what_it_was() -> None:

@@ -2,129 +2,26 @@
 
 from __future__ import annotations
 
-import errno
 import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 from env_controller import campaigns
-from env_controller.dispatcher import Dispatcher
-from luxloop import __version__
 from luxloop.bus import Asked, Presence
 from luxloop.bus.frame import decode, encode
 from luxloop.bus.keys import HOLD_S, at
-from luxloop.campaign import Action, AgentRecord, Begin, Begun, End, Ended, Fidelity, Move, Note, Plan, Step
-from luxloop.design import Bounds, Design
+from luxloop.campaign import Action, AgentRecord, Begin, Begun, Ended, Move, Note, Step
 from luxloop.errors import RemoteError
 from luxloop.failure import Failure
-from luxloop.journal import reader
-from luxloop.journal.topics import Record, ValidationStep
-from luxloop.messages import Describe, Done, Hello, Lease, Nothing, Outcome, Pull, Receipt
-from luxloop.model import Environment
-from luxloop.settings import Settings
+from luxloop.journal.topics import ValidationStep
+from luxloop.messages import Nothing, Receipt
 from luxloop.words import Words
-from tests.local_bus import LocalBus, LocalRouter
-
-DESIGN = Design.from_vector((150.0, 30.0, 500.0, 20.0, 5.5))
-WAIT_S = 5.0
-
-
-def plan(run: str = "one", **changes: Any) -> Plan:
-    """A campaign on the bounds of Table 3."""
-    given: dict[str, Any] = {
-        "run": run, "environment": Environment(), "bounds": Bounds.preset("paper-table3"), "lanes": 2,
-        "walk": Fidelity(target_error_points=1.0), "final": Fidelity(target_error_points=0.3),
-    }  # fmt: skip
-    return Plan(**(given | changes))
-
-
-class Question:
-    """A question that was put, and what was answered; None while it is held."""
-
-    def __init__(self, key: str, frame: bytes) -> None:
-        self.frames: list[bytes] = []
-        self.asked = Asked(key, frame, self.frames.append, lambda: None)
-
-    @property
-    def message(self) -> Words | None:
-        assert len(self.frames) <= 1, "answered twice"
-        return decode(self.frames[0]).message if self.frames else None
-
-    def wait(self) -> Words:
-        """What is answered once it is on the disk."""
-        end_s = time.monotonic() + WAIT_S
-        while not self.frames and time.monotonic() < end_s:
-            time.sleep(0.002)
-        assert self.message is not None, "no answer"
-        return self.message
-
-
-class Desk:
-    """A controller whose inbox we are, with one worker of each kind that answers by hand."""
-
-    def __init__(self, folder: Path) -> None:
-        self.router = LocalRouter()
-        self.controller = Dispatcher(LocalBus(self.router), Settings(runs=folder))
-        self.uniformity = 0.8
-        for kind in ("film", "ray"):
-            self.hello(kind)
-
-    def put(self, row: str, message: Words, arrays: Any = None, **parts: str) -> Question:
-        question = Question(at("luxloop", row, **parts), encode(message, arrays))
-        self.controller.take(question.asked)
-        return question
-
-    def hello(self, kind: str) -> None:
-        describe = Describe(worker=f"{kind}-1", kind=kind, version=__version__, host="h", pid=1)
-        self.put("hello", Hello(describe=describe), kind=kind)
-
-    def begin(self, one: Plan | None = None, designer: str = "d", **more: Any) -> Words | None:
-        return self.put("begin", Begin(plan=one or plan(), designer=designer, **more)).message
-
-    def act(self, number: int = 0, lane: int = 0, run: str = "one", designer: str = "d", **what: Any) -> Question:
-        what = what or {"design": DESIGN}
-        action = Action(run=run, designer=designer, lane=lane, number=number, **what)
-        return self.put("act", action, name=run)
-
-    def work(
-        self, kind: str, result: dict[str, Any] | None = None, arrays: Any = None, **outcome: Any
-    ) -> Words | None:
-        """Let the worker of a kind take a task and answer it; its receipt, None where there was no task."""
-        worker = f"{kind}-1"
-        pulled = self.put("pull", Pull(worker=worker, kind=kind, epoch=self.controller.epoch), kind=kind)
-        lease = pulled.message
-        if not isinstance(lease, Lease):
-            return None
-        if "failure" not in outcome:
-            outcome |= {"result": result or self.answer(kind)}
-            arrays = {"map_lx": np.full((4, 4), 7.0)} if kind == "ray" and arrays is None else arrays
-        done = Done(
-            worker=worker, kind=kind, attempt=lease.attempt, epoch=lease.epoch,
-            outcome=Outcome(**{"task_id": lease.task.id, "worker": worker, "compute_s": 0.1} | outcome),
-        )  # fmt: skip
-        return self.put("done", done, arrays, kind=kind).message
-
-    def answer(self, kind: str) -> dict[str, Any]:
-        if kind == "film":
-            return {"table_sha256": "f" * 64, "table_bytes": 9}
-        return {"metrics": {"uniformity": {"value": self.uniformity, "standard_error": 0.01}}, "ledger_defect": 0.0}
-
-    def evaluated(self, number: int = 0, **what: Any) -> Step:
-        """The step of an action, its tasks answered by the workers."""
-        question = self.act(number, **what)
-        while question.message is None and (self.work("film") or self.work("ray")):
-            pass
-        step = question.wait()
-        assert isinstance(step, Step), step
-        return step
-
-    def end(self, run: str = "one", designer: str = "d") -> Words | None:
-        return self.put("end", End(run=run, designer=designer, reason="enough"), name=run).message
+from tests.env_controller.desk import DESIGN, WAIT_S, Desk, plan, refusal, written
+from tests.local_bus import LocalBus
 
 
 @pytest.fixture
@@ -133,17 +30,6 @@ def desk(tmp_path: Path) -> Iterator[Desk]:
     desk = Desk(tmp_path / "runs")
     yield desk
     desk.controller._campaigns.stop()
-
-
-def written(folder: Path, run: str = "one") -> list[Record]:
-    """The records of a run."""
-    return list(reader.RunJournal(folder / "runs" / run).records())
-
-
-def refusal(message: Words | None) -> Failure:
-    """The failure that an answer is."""
-    assert isinstance(message, Failure), message
-    return message
 
 
 def test_a_run_from_begin_to_end_is_on_record(desk: Desk, tmp_path: Path) -> None:
@@ -261,193 +147,6 @@ def test_two_runs_at_once_have_their_own_journals(desk: Desk, tmp_path: Path) ->
     desk.end("one")
     desk.end("two")
     assert {path.name for path in (tmp_path / "runs").iterdir()} == {"one", "two"}
-
-
-@pytest.mark.parametrize(
-    ("result", "arrays"),
-    [
-        ({"metrics": {"uniformity": {"value": 7.0, "standard_error": 0.01}}}, None),
-        ({"metrics": {"uniformity": {"value": -0.1, "standard_error": 0.01}}}, None),
-        ({"metrics": {"uniformity": {"value": 0.5}}}, None),
-        ({"metrics": {"uniformity": {"value": 0.5, "standard_error": 0.1}}, "ledger_defect": 0.1}, None),
-        (None, {"map_lx": np.array([[1.0, np.nan]])}),
-        (None, {"map_lx": np.array([[1.0, 1e39]])}),
-        (None, {"map_lx": np.ones(4)}),
-        (None, {}),
-        ({"histories": 7}, {"map_lx": np.ones((4, 4))}),
-    ],
-)
-def test_an_answer_that_cannot_be_is_tried_again_elsewhere(desk: Desk, result: Any, arrays: Any) -> None:
-    """Uniformity out of range or missing, an open ledger, NaN in the map or none: the third time the step failed."""
-    desk.begin()
-    question = desk.act()
-    desk.work("film")
-    answer = result or desk.answer("ray")
-    for _ in range(3):
-        assert question.message is None
-        assert desk.work("ray", answer, arrays if arrays is not None else {}) is not None
-    step = question.wait()
-    assert isinstance(step, Step)
-    assert step.failure is not None
-    assert "does not hold" in step.failure.message
-    desk.uniformity = 0.8
-    assert desk.evaluated(1, move=Move(variable="width_um", steps=1)).failure is None
-
-
-@pytest.mark.parametrize(
-    "result",
-    [
-        {"table_bytes": 9},
-        {"table_sha256": "f" * 64},
-        {"table_sha256": "F" * 64, "table_bytes": 9},
-        {"table_sha256": "f" * 64, "table_bytes": 0},
-        {"table_sha256": "f" * 64, "table_bytes": 1 << 40},
-        {"table_sha256": 7, "table_bytes": 9},
-    ],
-)
-def test_a_film_without_its_table_is_an_answer_that_cannot_be(desk: Desk, result: dict[str, Any]) -> None:
-    """No hash, no size, or none that a table has: that worker's answer does not hold, and the run goes on."""
-    desk.begin()
-    question = desk.act()
-    for _ in range(3):
-        assert question.message is None
-        assert isinstance(desk.work("film", result), Receipt)
-    step = question.wait()
-    assert isinstance(step, Step)
-    assert step.failure is not None
-    assert "the answer of film-1 does not hold" in step.failure.message
-    assert desk.evaluated(1, design=DESIGN).failure is None
-
-
-def test_nothing_is_computed_in_less_than_no_time(desk: Desk) -> None:
-    """Such an answer does not hold; the next one may."""
-    desk.begin()
-    question = desk.act()
-    desk.work("film", compute_s=-1.0)
-    desk.work("film")
-    desk.work("ray", compute_s=-1.0)
-    desk.work("ray")
-    step = question.wait()
-    assert isinstance(step, Step)
-    assert step.physics_s == pytest.approx(0.2)
-
-
-def test_what_a_run_cannot_take_closes_it_and_the_controller_goes_on(
-    desk: Desk, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    """Something of ours is broken: who waits is told so, the journal is finished, other runs are not touched."""
-    desk.begin()
-    desk.begin(plan("two"))
-    question = desk.act()
-    with monkeypatch.context() as patched:
-        patched.setattr(desk.controller._campaigns.agent, "_keep_film", lambda *_: 1 / 0)
-        assert desk.work("film") == Receipt(accepted=True)
-    failure = refusal(question.message)
-    assert (failure.code, failure.mend) == ("crashed", "luxloop campaign resume one")
-    assert "ZeroDivisionError" in failure.message
-    assert (tmp_path / "runs" / "one" / "audit.sha256").exists()
-    assert desk.controller._campaigns.runs == ("two",)
-    other = desk.act(run="two")
-    assert desk.work("ray") is not None
-    assert isinstance(other.wait(), Step)
-
-
-def test_another_tasks_result_is_not_taken(desk: Desk) -> None:
-    """Fenced; the task goes on waiting for its own."""
-    desk.begin()
-    question = desk.act()
-    desk.work("film")
-    receipt = desk.work("ray", task_id="0" * 64, result=desk.answer("ray"))
-    assert isinstance(receipt, Receipt)
-    assert not receipt.accepted
-    assert question.message is None
-
-
-def test_a_full_disk_ends_the_run_and_keeps_what_was_told(
-    desk: Desk, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    """The step that could not be written is told as a failure with folder and mend, and so is every later one."""
-    desk.begin()
-    told = desk.evaluated(0)
-
-    def full(*_: Any) -> None:
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    monkeypatch.setattr(desk.controller._campaigns._runs["one"].journal._segment, "commit", full)
-    question = desk.act(1, move=Move(variable="width_um", steps=1))
-    desk.work("ray")
-    failure = refusal(question.wait())
-    assert "No space left" in failure.message
-    assert str(tmp_path) in failure.message
-    assert refusal(desk.act(2, move=Move(variable="width_um", steps=1)).wait()).message == failure.message
-    assert refusal(desk.end()).message == failure.message
-    steps = [record.value for record in written(tmp_path) if record.topic == "/step"]
-    assert steps[0] == told
-
-
-class Crowded:
-    """A journal that is said to have no room, for as long as `full` is set."""
-
-    def __init__(self, desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.full = True
-        journal = desk.controller._campaigns._runs["one"].journal
-        self._put = journal.put
-        monkeypatch.setattr(journal, "put", self.put)
-
-    def put(self, records: Any, done: Any) -> None:
-        if self.full:
-            raise RemoteError(Failure(code="busy", message="too much waits for the journal's disk"))
-        self._put(records, done)
-
-
-@pytest.mark.parametrize("by", ["the next tick", "the next note"])
-def test_what_the_journal_has_no_room_for_is_written_later(
-    desk: Desk, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, by: str
-) -> None:
-    """In its order, before anything else is acknowledged: nothing is told meanwhile, nothing is lost."""
-    desk.begin()
-    journal = Crowded(desk, monkeypatch)
-    question, other = desk.act(), desk.act(lane=1, design=DESIGN.model_copy(update={"width_um": 40.0}))
-    for kind in ("film", "ray", "ray"):
-        desk.work(kind)
-    note = Note(run="one", designer="d", log="later")
-    assert refusal(desk.put("note", note, name="one").message).code == "busy"
-    assert refusal(desk.end()).code == "busy"
-    assert (question.message, other.message) == (None, None)
-    journal.full = False
-    if by == "the next tick":
-        desk.controller._campaigns.tick(time.monotonic())
-    else:
-        assert desk.put("note", note, name="one").wait() == Receipt(accepted=True)
-    told = [question.wait(), other.wait()]
-    assert desk.put("note", note, name="one").wait() == Receipt(accepted=True)
-    assert isinstance(desk.evaluated(1, move=Move(variable="width_um", steps=1)), Step)
-    assert isinstance(desk.end(), Ended)
-    records = written(tmp_path)
-    topics = [record.topic for record in records if record.topic != "/chain"]
-    assert topics[:4] == ["/request/film", "/reply/film", "/request/ray", "/reply/ray"]
-    assert [record.value for record in records if record.topic == "/step"][:2] == told
-    assert topics.index("/step") < topics.index("/log")
-
-
-def test_a_journal_without_room_for_long_closes_its_run(
-    desk: Desk, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    """Who waits is told that for good, and how to go on; what was told before is on record."""
-    desk.begin()
-    before = desk.evaluated(0)
-    Crowded(desk, monkeypatch)
-    desk.act(1, move=Move(variable="width_um", steps=1))
-    desk.work("ray")
-    desk.controller._campaigns.tick(time.monotonic() + campaigns.FULL_S - 1.0)
-    assert desk.controller._campaigns.runs == ("one",)
-    question = desk.act(1, move=Move(variable="width_um", steps=1))  # the hold of the first one is over
-    desk.controller._campaigns.tick(time.monotonic() + campaigns.FULL_S + 1.0)
-    failure = refusal(question.message)
-    assert (failure.code, failure.mend) == ("refused", "luxloop campaign resume one")
-    assert "no room" in failure.message
-    assert desk.controller._campaigns.runs == ()
-    assert [record.value for record in written(tmp_path) if record.topic == "/step"] == [before]
 
 
 def test_a_folder_that_cannot_be_written_is_refused_at_the_begin(tmp_path: Path) -> None:

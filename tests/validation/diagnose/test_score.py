@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from luxloop.effect import EffectParameter, EffectSpec
 from validation.contrasts.null import Projection
+from validation.diagnose import score
 from validation.diagnose.score import Candidate, Projected, scores
 from validation.effects.confounding import confounding, left_beside
 
@@ -109,6 +111,18 @@ def test_a_loud_group_is_not_outrun_by_effects_that_take_less() -> None:
     assert found.effects[0].name == "all"
     assert by_name["all"] == pytest.approx(float(np.sum(PROJECTION.residual(hidden) ** 2)), rel=0.1)
     assert 1400.0 < by_name["half"] < by_name["all"]
+
+
+@pytest.mark.parametrize("freedom", [1.0, 5.3, 24.0])
+def test_a_chance_too_small_for_a_number_goes_on_from_one_that_is_not(
+    monkeypatch: pytest.MonkeyPatch, freedom: float
+) -> None:
+    """Against scipy's own chi2 as far as that reaches; beyond, each unit of chi2 costs a half, and a little less."""
+    value = np.linspace(300.0, 1300.0, 6)
+    monkeypatch.setattr(score, "SMALLEST", 2.0)  # no chance is: all by the continued fraction
+    np.testing.assert_allclose(score._log_sf(value, freedom), chi2.logsf(value, freedom), rtol=0.0, atol=2e-3)
+    far = score._log_sf(np.array([1e6, 1e6 + 2.0]), freedom)
+    assert far[0] - far[1] == pytest.approx(1.0, abs=1e-4)
 
 
 def test_the_error_of_a_spread_is_how_far_it_scatters() -> None:
