@@ -105,10 +105,11 @@ class Predictor:
         `jacobian_per_mm2` (column, shot, row, pixel column) in the order of `columns`, by each shot's own parameter,
         of its scene or of its camera, in the unit that its name ends with; with an anchor `noise_per_mm2` (function,
         shot, row, column): the covariance of two pixels is the sum over functions of their products, and
-        `twin_per_mm2` (shot, row, column), the twin alone, whose noise has nothing in common with that; where sensors
-        bend signals `by_gain_per_mm2` (shot, row, column), by which the twin's signal grows with the gain. Images
-        are float64, for differences are taken of them; the others are float32, which rounds 6e-8 of a value: the
-        least noisy column of a scene has 1e-4, the noise knows itself to some percent.
+        `twin_per_mm2` (shot, row, column), the twin alone, whose noise has nothing in common with that, unless the
+        anchor has the stored exits; where sensors bend signals `by_gain_per_mm2` and `by_offset` (shot, row, column),
+        by which the twin's signal grows with the gain and with the offset. Images are float64, for differences are
+        taken of them; the others are float32, which rounds 6e-8 of a value: the least noisy column of a scene has
+        1e-4, the noise knows itself to some percent.
         """
         columns, cameras = _columns(request)
         _refuse_too_much(request)
@@ -247,7 +248,8 @@ class _Job:
 def _seed_of(asked: AnchorRequest, wanted: ShotRequest) -> str:
     """The seed of a module's run: another for each design, so that no two modules of an anchor share their noise.
 
-    Nor does any share histories with the exits that the twin lands. In another environment a module keeps its seed.
+    Nor, without stored exits, does any share histories with the exits that the twin lands. In another environment a
+    module keeps its seed.
     """
     module = wanted.model_dump(mode="json", include={"design", "array"})
     return str(int(sha256_of({"seed": asked.seed, "module": module})[:15], 16) % 10**18)
@@ -270,7 +272,7 @@ def _bend(arrays: Arrays, shots: Sequence[Shot]) -> None:
     """Let the sensors' effects act: images as if the light had been other, the rest by the slope there.
 
     An effect s acts on the signal y = g E + o; returned is E' with g E' + o = s(y), so that who multiplies by the
-    gain and adds the offset has the signal. Its derivative by the gain is then another, s' E.
+    gain and adds the offset has the signal. Its derivatives are then others, by the gain s' E, by the offset s'.
     """
     for number, shot in enumerate(shots):
         if not shot.effects.bends_signals:
@@ -283,6 +285,7 @@ def _bend(arrays: Arrays, shots: Sequence[Shot]) -> None:
         by_gain = arrays.setdefault("by_gain_per_mm2", twin.astype(np.float32))
         its_own, its_slope = _bent(twin[number].astype(np.float64), shot)
         by_gain[number] = its_slope * twin[number]
+        arrays.setdefault("by_offset", np.ones_like(by_gain))[number] = its_slope
         twin[number] = its_own
         arrays["images_per_mm2"][number] = bent
         for name in ("noise_per_mm2", "jacobian_per_mm2"):

@@ -17,6 +17,7 @@ from containers.ray_tracing.twin.prediction import EFFECTIVE, Anchor, Shot, Supp
 from containers.ray_tracing.twin.reweighting import reweighted
 from containers.scene import Array, Face, Scene
 from luxloop.camera import Camera
+from luxloop.errors import InputError
 from tests.ray_scenes import N, bare, scene, taking
 
 SIGMA = np.radians(5.0)
@@ -201,3 +202,27 @@ def test_one_sided_steps_stay_within_their_range() -> None:
         assert all(column.low <= column.value(case) + a <= column.high for a, _ in stencil)
         assert sum(w for _, w in stencil) == pytest.approx(0.0, abs=1e-6 * abs(stencil[0][1]))
         assert sum(w * (3.0 * a + a * a) for a, w in stencil) == pytest.approx(3.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "side", "changes"),
+    [
+        ("width_um", -1.0, {"width_um": 495.0}),
+        ("spacing_um", 1.0, {"width_um": 496.0}),
+        ("thickness_um", -1.0, {"thickness_um": 148.0}),
+        ("distance_um", 1.0, {"thickness_um": 149.0}),
+    ],
+)
+def test_where_chips_nearly_touch_steps_go_away_from_it(name: str, side: float, changes: dict[str, float]) -> None:
+    """One-sided where the scene cannot be moved to the other side: no error names a width that nobody gave."""
+    case = scene(changes, layout=Array.regular(3, 3, 500.0), distance_um=150.0)
+    amounts = [amount for amount, _ in COLUMNS[name].stencil(case)]
+    assert [np.sign(amount) for amount in amounts] == [0.0, side, side]
+    assert all(COLUMNS[name].move(case, amount) for amount in amounts)
+
+
+def test_no_room_for_a_step_is_said(dim: tuple[Scene, Exits]) -> None:
+    """By the column's own name."""
+    tight = replace(COLUMNS["width_um"], low=dim[0].chip.width_um, high=dim[0].chip.width_um)
+    with pytest.raises(InputError, match=r"width_um: .*room for two steps"):
+        tight.stencil(dim[0])

@@ -204,16 +204,14 @@ def test_a_prediction_beside_its_anchor_differs_by_the_twin(source: ExitSource) 
     np.testing.assert_allclose(there["twin_per_mm2"], twin_there["images_per_mm2"], rtol=1e-6)
 
 
-def test_where_a_sensor_bends_signals_the_twin_is_bent_and_so_is_its_derivative_by_the_gain(
-    source: ExitSource,
-) -> None:
-    """Both as the twin alone would have them, at two gains; the noise stays what is told of the image."""
+def test_where_a_sensor_bends_signals_the_twin_is_bent_and_so_are_its_derivatives(source: ExitSource) -> None:
+    """By gain and offset, as the twin alone would have them at two of each; the noise stays that of the image."""
     bent: dict[str, Any] = {"effects": [{"name": "nonlinearity", "parameters": {"bend": 0.04}}]}
     gain, offset, of, step = 2000.0, 50.0, worker(source), 1e-3
 
-    def seen(times: float, **changes: Any) -> Arrays:
-        sensor = {"gain_dn": gain * times, "offset_dn": offset, "full_scale_dn": 4000.0}
-        return ask(request(shot(**bent, camera=CAMERA | sensor), shot(**bent), **changes), of)
+    def seen(times: float, more_dn: float = 0.0, **changes: Any) -> Arrays:
+        sensor = {"gain_dn": gain * times, "offset_dn": offset + more_dn, "full_scale_dn": 4000.0}
+        return ask(request(shot(**bent, camera=CAMERA | sensor), shot(), **changes), of)
 
     found = seen(1.0, anchor={"histories": HISTORIES})
     low, at, high = (seen(times) for times in (1.0 - step, 1.0, 1.0 + step))
@@ -222,6 +220,11 @@ def test_where_a_sensor_bends_signals_the_twin_is_bent_and_so_is_its_derivative_
     grown = [times * one["images_per_mm2"][0] for times, one in ((1.0 - step, low), (1.0 + step, high))]
     np.testing.assert_allclose(found["by_gain_per_mm2"][0], (grown[1] - grown[0]) / (2.0 * step), rtol=1e-4)
     np.testing.assert_allclose(at["by_gain_per_mm2"], found["by_gain_per_mm2"], rtol=0.05)
+    low, high = (gain * seen(1.0, by)["images_per_mm2"][0] + by for by in (-1.0, 1.0))
+    assert found["by_offset"][0].min() < 0.98
+    np.testing.assert_allclose(found["by_offset"][0], (high - low) / 2.0, rtol=1e-4)
+    assert (found["by_offset"][1] == 1.0).all()
+    np.testing.assert_array_equal(found["by_gain_per_mm2"][1], found["twin_per_mm2"][1])
 
 
 def test_modules_of_an_anchor_share_no_random_numbers(source: ExitSource, monkeypatch: pytest.MonkeyPatch) -> None:

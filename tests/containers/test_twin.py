@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from weakref import ref
 
 import numpy as np
 import pytest
@@ -10,11 +11,11 @@ from numpy.typing import NDArray
 
 from containers.bsdf import GaussianLobe, Lambertian, Mirror, Mixture
 from containers.ray_tracing.exits import Exits, Landing, make_exits
-from containers.ray_tracing.field import CellField
+from containers.ray_tracing.field import Axis, CellField
 from containers.ray_tracing.monte_carlo import BLOCK
 from containers.ray_tracing.twin.cell import cell_field
 from containers.ray_tracing.twin.columns import COLUMNS
-from containers.ray_tracing.twin.module import Lights, ModuleTwin
+from containers.ray_tracing.twin.module import ChipMap, Lights, ModuleTwin
 from containers.scene import Array, Cell, Emission, Receiver, Scene, lambertian_receiver
 from luxloop.errors import InputError
 from tests.ray_scenes import scene
@@ -188,3 +189,33 @@ def test_light_of_chips_that_is_remembered_is_the_same_to_the_last_bit(dim: tupl
         remembered, alone = (ModuleTwin(one, exits, blocks=1, known=by).mean(x, x) for by in (known, None))
         np.testing.assert_array_equal(remembered, alone)
     assert len(known) == 4
+
+
+def test_remembered_light_lasts_as_long_as_its_exits_and_within_its_room(dim: tuple[Scene, Exits]) -> None:
+    """Exits that nobody else holds are not kept for it, nor is the light of others taken for theirs."""
+    _, exits = dim
+    light, made = (ChipMap(np.zeros((2, 1, 8, 8)), *2 * (Axis(0.0, 1.0, 7, "even"),), 1), 0.0), []
+
+    def make() -> tuple[ChipMap, float]:
+        made.append(1)
+        return light
+
+    own, known = replace(exits), Lights()
+    alive = ref(own)
+    for _ in range(2):
+        assert known.of("one", own, make) is light
+    assert len(made) == 1
+    known.of("one", replace(exits), make)  # others, at the same key as if by the same id
+    assert len(made) == 2
+    known.of("one", own, make)
+    del own
+    assert alive() is None
+    known.of("two", exits, make)
+    assert len(known) == 1
+    small = Lights(most_bytes=2 * light[0].nbytes)
+    for number in range(5):
+        small.of(str(number), exits, make)
+    assert len(small) == 2
+    before = len(made)
+    small.of("4", exits, make)
+    assert len(made) == before

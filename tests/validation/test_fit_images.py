@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import ClassVar
 
 import numpy as np
@@ -39,7 +40,7 @@ from validation.fit import (
 )
 from validation.fit.descent import PROMISED
 from validation.fit.problem import wrapped_deg
-from validation.fit.start import start_values
+from validation.fit.start import coarse_shift_px, start_values
 from validation.measured import MeasuredSpectrum
 from validation.prediction import Anchored, Pose, PredictedCurve
 
@@ -92,7 +93,7 @@ def test_each_iteration_asks_once():
 def test_a_fit_ends_where_what_is_asked_is_out_of_reach(found):
     """What chi2 cannot reach is given up before the optimum; what it can is fitted to the same end."""
     problem = replace(found.problem, predictor=Spots())
-    start = start_values(problem, {})
+    start = start_values(problem, {"single-a.shift_row_px": 3.0, "single-a.shift_column_px": -4.0})
     whole = refitted(problem, start)
     assert whole.chi2 == pytest.approx(found.chi2, abs=0.5)
     reached = refitted(problem, start, below=whole.chi2 + 10.0)
@@ -341,3 +342,17 @@ def test_without_derivatives_the_residual_is_the_same():
     without = problem.evaluate(found.values, derivatives=False).residual(white)
     assert predictor.paths == ()
     np.testing.assert_array_equal(without, with_them)
+
+
+@pytest.mark.parametrize("shape", [(24, 24), (25, 25), (24, 31), (9, 40)])
+def test_the_start_is_at_the_pixel_that_the_image_is_at(shape):
+    """By as many whole pixels as the image was moved, in sides of even and odd numbers alike."""
+    rows, columns = np.indices(shape)
+
+    def spot(row, column):
+        distance = np.hypot(rows - (shape[0] - 1) / 2.0 - row, columns - (shape[1] - 1) / 2.0 - column)
+        return np.exp(-0.5 * (distance / 1.5) ** 2)
+
+    for row, column in ((0, 0), (1, -2), (-2, 3), (2, 0)):
+        image = SimpleNamespace(signal_dn=50.0 + 900.0 * spot(row, column), used=np.ones(shape, bool))
+        assert coarse_shift_px(image, spot(0, 0)) == (row, column)

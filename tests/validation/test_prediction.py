@@ -296,6 +296,21 @@ def test_an_anchored_image_is_monte_carlo_there(workers: Workers, model: Model) 
         np.testing.assert_allclose(errors[1], share * errors[0], atol=1e-9 * a.irradiance_per_mm2.max())
 
 
+def test_noise_of_one_run_that_two_requests_tell_is_bounded(workers: Workers, model: Model) -> None:
+    """Images of one sample in two sizes: each has twice its own variance and no function of the other's."""
+    predictor, views = Predictor(workers), [view(), view(FOUR), view(size=16), view()]
+    at = Anchored(model, histories=1 << 17, seed=3)
+    together = [one.noise_per_mm2 for one in predictor.images(model, views, (), at)]
+    alone = [one.noise_per_mm2 for one in predictor.images(model, [views[0], views[1], views[3]], (), at)]
+    (large,) = (one.noise_per_mm2 for one in predictor.images(model, [views[2]], (), at))
+    np.testing.assert_array_equal(together[1], alone[1])  # seen in one size only
+    for place, own in ((0, alone[0]), (3, alone[2])):
+        np.testing.assert_array_equal(together[place], np.sqrt(2.0) * own)
+    count = len(alone[0])
+    assert not together[2][:count].any()
+    np.testing.assert_array_equal(together[2][count:], np.sqrt(2.0) * large)
+
+
 def test_noise_that_data_have_of_their_own_is_told_beside_an_anchors(workers: Workers, model: Model) -> None:
     """Of the samples that it is known of; the twin alone has none to add it to."""
     of_data = np.full((2, 12, 12), 0.5)

@@ -136,7 +136,9 @@ class Rivals:
                 block.take_out(white)
             return white
 
-        nuisances = [signal, np.ones_like(signal), *(gain * found.jacobian_per_mm2[name] for name in POSE_COLUMNS)]
+        by_gain = signal if found.by_gain_per_mm2 is None else gain * found.by_gain_per_mm2
+        by_offset = np.ones_like(signal) if found.by_offset is None else found.by_offset
+        nuisances = [by_gain, by_offset, *(gain * found.jacobian_per_mm2[name] for name in POSE_COLUMNS)]
         changes = rows([gain * self._change(sight, one)[0] for one in usable])
         return Rows(
             rows([gain * found.jacobian_per_mm2[path] for path in paths]),

@@ -171,7 +171,7 @@ class Evaluation:
             replace(
                 one,
                 twin_per_mm2=None,
-                by_gain_per_mm2=None,
+                by_gain_per_mm2=_by_gain_anchored(one),
                 jacobian_per_mm2=one.jacobian_per_mm2 | other.jacobian_per_mm2,
             )
             for one, other in zip(self.predicted, others, strict=True)
@@ -212,15 +212,15 @@ class Evaluation:
             columns[place[f"{shot}.{name}"]] = gain * predicted.jacobian_per_mm2[name]
         for k, one in enumerate(self.problem.discrepancies):
             columns[place[f"discrepancy.{k}"]] = gain * one.images_per_mm2[index]
-        columns[place[f"{shot}.offset_dn"]] = 1.0
-        straight = predicted.by_gain_per_mm2
-        irradiance = self.irradiance_per_mm2(index, quiet=True) if straight is None else straight
+        columns[place[f"{shot}.offset_dn"]] = 1.0 if predicted.by_offset is None else predicted.by_offset
+        by_gain = predicted.by_gain_per_mm2
+        by_gain = self.irradiance_per_mm2(index, quiet=True) if by_gain is None else by_gain
         if tied(image):
-            lit = image.shot.exposure_ms * irradiance
+            lit = image.shot.exposure_ms * by_gain
             columns[place["gain"]] = lit * (1.0 + self.by_name[f"{shot}.gain_error"])
             columns[place[f"{shot}.gain_error"]] = lit * self.by_name["gain"]
         else:
-            columns[place[f"{shot}.gain"]] = irradiance
+            columns[place[f"{shot}.gain"]] = by_gain
         return columns
 
     def _curve_columns(self, index: int) -> Real:
@@ -240,6 +240,13 @@ class Evaluation:
         """Error of the rows of a curve, that of a Monte Carlo prediction included."""
         curve, error = self.problem.curves[index], self.predicted_curves[index].error
         return curve.sigma if error is None else np.hypot(curve.sigma, self._scale(curve) * error)
+
+
+def _by_gain_anchored(one: Predicted) -> Real | None:
+    """By the gain where a sensor bends signals, with the noise of the anchor; it is small, so that its bend is."""
+    if one.by_gain_per_mm2 is None or one.twin_per_mm2 is None:
+        return one.by_gain_per_mm2
+    return one.by_gain_per_mm2 + one.irradiance_per_mm2 - one.twin_per_mm2
 
 
 def sensor_of(image: MeasuredImage, values: Mapping[str, float]) -> Sensor:

@@ -49,24 +49,22 @@ def start_values(problem: Problem, given: Mapping[str, float]) -> Real:
 def coarse_shift_px(image: MeasuredImage, predicted: Real) -> tuple[int, int]:
     """How many whole pixels (row, column) the prediction must move to lie best on the image."""
     measured = np.where(image.used, image.signal_dn - image.signal_dn[image.used].mean(), 0.0)
-    overlap = _convolved(measured, (predicted - predicted.mean())[::-1, ::-1])
-    rows, columns = overlap.shape
-    near_row, near_column = max(1, int(FURTHEST * rows)), max(1, int(FURTHEST * columns))
-    middle = ((rows - 1) // 2, (columns - 1) // 2)
-    window = overlap[
-        middle[0] - min(near_row, middle[0]) : middle[0] + near_row + 1,
-        middle[1] - min(near_column, middle[1]) : middle[1] + near_column + 1,
-    ]
-    row, column = np.unravel_index(int(np.argmax(window)), window.shape)
-    return int(row) - min(near_row, middle[0]), int(column) - min(near_column, middle[1])
+    rows, columns = (max(1, int(FURTHEST * count)) for count in measured.shape)
+    overlap = _overlap(measured, predicted - predicted.mean(), rows, columns)
+    row, column = np.unravel_index(int(np.argmax(overlap)), overlap.shape)
+    return int(row) - rows, int(column) - columns
 
 
-def _convolved(one: Real, other: Real) -> Real:
-    """The middle part of the convolution of two maps of one shape; scipy.signal takes half a second to import."""
-    whole = tuple(fft.next_fast_len(2 * count - 1, real=True) for count in one.shape)
-    full = fft.irfft2(fft.rfft2(one, whole) * fft.rfft2(other, whole), whole)
-    (row, rows), (column, columns) = (((count - 1) // 2, count) for count in one.shape)
-    return np.asarray(full[row : row + rows, column : column + columns])
+def _overlap(one: Real, other: Real, rows: int, columns: int) -> Real:
+    """Sums of one map times another one of its shape that is moved by -rows ... rows and -columns ... columns.
+
+    By FFT; scipy.signal takes half a second to import.
+    """
+    room = tuple(
+        fft.next_fast_len(size + most, real=True) for size, most in zip(one.shape, (rows, columns), strict=True)
+    )
+    around = fft.irfft2(fft.rfft2(one, room) * fft.rfft2(other, room).conj(), room)
+    return np.asarray(around[np.ix_(range(-rows, rows + 1), range(-columns, columns + 1))])
 
 
 def _line(image: MeasuredImage, predicted: Real) -> tuple[float, float]:

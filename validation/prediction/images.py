@@ -7,7 +7,7 @@ way at once: parameters by which the worker differentiates are its columns, othe
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -128,6 +128,9 @@ def predict(wanted: Wanted, views: Sequence[View], ask: Ask) -> list[Predicted]:
         for n, image in zip(some, next(answers).arrays["images_per_mm2"], strict=True):
             columns = found[moves[n].view].jacobian_per_mm2
             columns[moves[n].path] = columns.get(moves[n].path, 0.0) + moves[n].weight * _real(image)
+    for sample in {view.sample.id for view in views}:
+        parts = [[n for n in group if views[n].sample.id == sample] for group in groups]
+        found |= _told_apart(found, [part for part in parts if part])
     return [found[number] for number in range(len(views))]
 
 
@@ -262,7 +265,28 @@ def _images(wanted: Wanted, answer: Answer) -> Iterator[Predicted]:
         noise = _real(arrays["noise_per_mm2"][:, shot]) if len(arrays.get("noise_per_mm2", ())) else None
         twin = _real(arrays["twin_per_mm2"][shot]) if "twin_per_mm2" in arrays else None
         by_gain = _real(arrays["by_gain_per_mm2"][shot]) if "by_gain_per_mm2" in arrays else None
-        yield Predicted(_real(image), next(columns), noise, twin, by_gain)
+        by_offset = _real(arrays["by_offset"][shot]) if "by_offset" in arrays else None
+        yield Predicted(_real(image), next(columns), noise, twin, by_gain, by_offset)
+
+
+def _told_apart(found: Mapping[int, Predicted], parts: Sequence[Sequence[int]]) -> dict[int, Predicted]:
+    """Views of one sample, of several requests (images of two sizes), with noise that bounds what they share.
+
+    The functions of one request are not those of another. With m requests each has m times its own covariance and
+    nothing in common with others: whatever X is, [[A, X], [X', B]] <= diag(2 A, 2 B), so that no error is too small.
+    """
+    apart, before = {}, 0
+    for part in parts if len(parts) > 1 else ():
+        most = 0
+        for number in part:
+            noise = found[number].noise_per_mm2
+            if noise is not None:
+                others, most = np.zeros((before, *noise.shape[1:])), len(noise)
+                apart[number] = replace(
+                    found[number], noise_per_mm2=np.concatenate([others, math.sqrt(len(parts)) * noise])
+                )
+        before += most
+    return apart
 
 
 def _columns(paths: Sequence[str], answer: Answer) -> Iterator[dict[str, Real]]:
@@ -305,7 +329,7 @@ def _groups(views: Sequence[View], times: int, at: Anchored | None = None) -> It
     """Numbers of views of one size, and of as many histories, as many together as a request and its answer hold.
 
     Views of one sample see one run of Monte Carlo, whose noise is told by the same functions only within a request:
-    they are parted only where they are more than one holds.
+    they are parted only where they are of several sizes, or more than one holds (`_told_apart`).
     """
     alike: dict[tuple[int, int, int], dict[str, list[int]]] = {}
     for number, view in enumerate(views):

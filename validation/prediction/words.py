@@ -103,6 +103,8 @@ class Predicted:
     """(row, column), the twin's own image where there is an anchor: it errs, but not as the anchor's noise does."""
     by_gain_per_mm2: Real | None = None
     """(row, column), by which the signal grows with the gain, where a sensor bends it: else as the image has it."""
+    by_offset: Real | None = None
+    """(row, column), by which the signal grows with the offset, where a sensor bends it: else 1."""
 
 
 @dataclass(frozen=True, eq=False)

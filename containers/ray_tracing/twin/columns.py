@@ -37,20 +37,35 @@ class Column:
     def stencil(self, scene: Scene) -> tuple[tuple[float, float], ...]:
         """Amounts to move by and their weights: a derivative of second order within the range.
 
+        Where a scene cannot be moved to both sides (chips that nearly touch each other, or the receiver), to one.
+
         Raises
         ------
-        InputError : a scene without the parameter, or where it is 0 and steps are shares of it.
+        InputError : a scene without the parameter, one that leaves no room for two steps on either side, or where the
+            parameter is 0 and steps are shares of it.
         """
         value = self.value(scene)
         h = self.step(value)
         if not h > 0.0:
             mend = "its step is a share of it: leave the column out, or start from a small value"
             raise InputError(self.name, value, "above 0", mend)
-        if value - h < self.low:
-            return (0.0, -1.5 / h), (h, 2.0 / h), (2.0 * h, -0.5 / h)
-        if value + h > self.high:
-            return (0.0, 1.5 / h), (-h, -2.0 / h), (-2.0 * h, 0.5 / h)
-        return (h, 0.5 / h), (-h, -0.5 / h)
+        for steps in (
+            ((h, 0.5 / h), (-h, -0.5 / h)),
+            ((0.0, -1.5 / h), (h, 2.0 / h), (2.0 * h, -0.5 / h)),
+            ((0.0, 1.5 / h), (-h, -2.0 / h), (-2.0 * h, 0.5 / h)),
+        ):
+            if all(self._has_room(scene, value, amount) for amount, _ in steps):
+                return steps
+        raise InputError(self.name, value, f"room for two steps of {h:g} on one side", "leave the column out")
+
+    def _has_room(self, scene: Scene, value: float, amount: float) -> bool:
+        if not self.low <= value + amount <= self.high:
+            return False
+        try:
+            self.move(scene, amount)
+        except InputError:
+            return False
+        return True
 
 
 def _share_of(share: float, least: float = 0.0) -> Callable[[float], float]:

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from hashlib import sha256
 from threading import Lock
 from typing import Any
+from weakref import ref
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,7 +41,8 @@ MOST_BINS = 512
 """Along a half of one chip's map."""
 SLACK = 0.25
 """In distances: of the pad, what chips may stand beyond their lattice."""
-HELD_LIGHTS = 32
+HELD_BYTES = 128 * 2**20
+"""Of the light of chips that is remembered."""
 STEPS_PER_SD = 4.0
 """Of the spread in the receiver's plate, at least."""
 
@@ -179,27 +181,37 @@ class ChipMap:
     y: Axis
     histories: int
 
+    @property
+    def nbytes(self) -> int:
+        """In memory."""
+        return int(self.coefficients.nbytes)
+
 
 class Lights:
-    """The light of chips, each reckoned once: modules whose chips only stand or shine otherwise share it."""
+    """The light of chips, each reckoned once: modules whose chips only stand or shine otherwise share it.
 
-    def __init__(self) -> None:
-        self._lock = Lock()
-        self._held: OrderedDict[str, tuple[Exits, tuple[ChipMap, float]]] = OrderedDict()
+    It lasts as long as the exits it was made of, which others hold: they take more room than it does.
+    """
+
+    def __init__(self, most_bytes: int = HELD_BYTES) -> None:
+        self._lock, self._most_bytes = Lock(), most_bytes
+        self._held: OrderedDict[str, tuple[ref[Exits], tuple[ChipMap, float]]] = OrderedDict()
 
     def __len__(self) -> int:
         """How many are held."""
         return len(self._held)
 
     def of(self, key: str, exits: Exits, make: Callable[[], tuple[ChipMap, float]]) -> tuple[ChipMap, float]:
-        """What is held under a key, or made now; the exits are kept with it, so that no other gets their id."""
+        """What is held under a key of these exits, or made now; others may have got the id of some that are gone."""
         with self._lock:
             held = self._held.get(key)
-        found = held[1] if held is not None else make()
+        found = held[1] if held is not None and held[0]() is exits else make()
         with self._lock:
-            self._held[key] = exits, found
+            self._held[key] = ref(exits), found
             self._held.move_to_end(key)
-            if len(self._held) > HELD_LIGHTS:
+            for gone in [one for one, (its, _) in self._held.items() if its() is None]:
+                del self._held[gone]
+            while len(self._held) > 1 and sum(one.nbytes for _, (one, _) in self._held.values()) > self._most_bytes:
                 self._held.popitem(last=False)
         return found
 
