@@ -1,6 +1,6 @@
 """Every designer on equal budgets: steps until it is within 0.5 points of the best known, beside peers on the like.
 
-    python benchmarks/designers.py [--objective A] [--seeds 10] [--steps 2000] [--processes 2] [--only ddqn-fast ...]
+    python benchmarks/designers.py [--objective A] [--seeds 10] [--steps 2000] [--lanes 1] [--processes 2] [--only ddqn-fast ...]
 
 The objectives are those of tests/objectives.py with 0.3 % noise; a hit is the first design visited whose value free
 of noise is within 0.5 points of the best known: the best of 200 ascents from random designs, and of all the runs.
@@ -58,31 +58,34 @@ class Run:
     took_s: float
 
 
-def rival(name: str, steps: int, seed: int) -> tuple[Designer, Learning | None]:
+def rival(name: str, steps: int, seed: int, lanes: int) -> tuple[Designer, Learning | None]:
     """The designer of a row, and its hyper-parameters where it has some."""
     base, _, reward = name.partition(" ")
     if not base.startswith("ddqn"):
-        return designer(base, SPACE, seed=seed), None
+        return designer(base, SPACE, seed=seed, lanes=lanes), None
     learning = learning_of(base)
     if reward:
         learning = learning.model_copy(update={"reward": reward, "budget": steps})
-    return designer(base, SPACE, seed=seed, learning=learning), learning
+    return designer(base, SPACE, seed=seed, lanes=lanes, learning=learning), learning
 
 
-def run(name: str, objective: Objective, steps: int, seed: int) -> Run:
-    """A designer alone with the objective for so many steps."""
-    chooser, learning = rival(name, steps, seed)
+def run(name: str, objective: Objective, steps: int, seed: int, lanes: int) -> Run:
+    """A designer alone with the objective for so many steps, all lanes' designs under evaluation at once."""
+    chooser, learning = rival(name, steps, seed, lanes)
     controller = Controller(objective, reward=learning.reward if learning else "gain", noise=NOISE, seed=seed)
     best: list[float] = []
     evaluations, episodes = [], []
     begin = time.perf_counter()
-    for _ in range(steps):
-        proposal = chooser.ask(0)
+    asked = {lane: chooser.ask(lane) for lane in range(lanes)}
+    for number in range(steps):
+        lane = number % lanes
+        proposal = asked[lane]
         if proposal is None:
             break
         action = {"design": proposal.design, "move": proposal.move, "number": proposal.record.number}
-        step = controller.act(Action(run="compare", designer="x", lane=0, **action))
-        chooser.tell(0, step)
+        step = controller.act(Action(run="compare", designer="x", lane=lane, **action))
+        chooser.tell(lane, step)
+        asked[lane] = chooser.ask(lane)
         best.append(max(controller.true_percent(step.design), best[-1] if best else -np.inf))
         evaluations.append(chooser.known.evaluations)
         episodes.append(chooser.episodes if isinstance(chooser, DoubleDqn) else 0)
@@ -127,19 +130,20 @@ def main() -> None:
     parser.add_argument("--objective", choices=("A", "B", "C"), default="A")
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--steps", type=int, default=2000)
+    parser.add_argument("--lanes", type=int, default=1, help="designs under evaluation at once")
     parser.add_argument("--processes", type=int, choices=(1, 2), default=2)
     parser.add_argument("--only", nargs="+", choices=RIVALS, default=RIVALS)
     asked = parser.parse_args()
     with ProcessPoolExecutor(asked.processes, mp_context=get_context("spawn")) as pool:
         seeds = range(asked.seeds)
         waiting = {
-            name: [pool.submit(run, name, asked.objective, asked.steps, seed) for seed in seeds]
+            name: [pool.submit(run, name, asked.objective, asked.steps, seed, asked.lanes) for seed in seeds]
             for name in asked.only
         }
         found = {name: [one.result() for one in runs] for name, runs in waiting.items()}
     top = max(best_known(asked.objective), *(one.best[-1] for runs in found.values() for one in runs))
     heads = ["designer", "hits", "evaluations (quartiles)", "episodes", "best@100", f"best@{asked.steps}", "s/seed"]
-    title = f"objective {asked.objective}, best known {top:.2f}, {NOISE:.1%} noise, {asked.steps:,} steps, one lane"
+    title = f"objective {asked.objective}, best known {top:.2f}, {NOISE:.1%} noise, {asked.steps:,} steps, {asked.lanes} at once"
     table(title, [row(name, runs, top) for name, runs in found.items()], heads)
     column = "ABC".index(asked.objective) + 1
     table(

@@ -57,8 +57,17 @@ class StackRows:
 
 
 def resolve(stack: Stack, wavelength_nm: ArrayLike) -> StackRows:
-    """The rows of a stack at each vacuum wavelength (wavelength,) in nm; InputError out of a material's range."""
+    """The rows of a stack at each vacuum wavelength (wavelength,) in nm.
+
+    Raises
+    ------
+    InputError : out of a material's range; a layer that an effect has made thinner than nothing.
+    """
     wavelength = wavelengths_nm(wavelength_nm)
+    for layer in stack.layers:
+        if layer.thickness_nm < 0.0:
+            mend = "an effect takes more of it than there is"
+            raise InputError("thickness_nm", layer.thickness_nm, "0 nm or more", mend)
     media = [stack.inside, *(layer.medium for layer in stack.layers), stack.outside]
     columns = {medium: _index(medium, wavelength) for medium in set(media)}
     return StackRows(

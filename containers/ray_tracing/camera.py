@@ -100,8 +100,12 @@ def receiver_points(camera: Camera, row: Real, column: Real) -> tuple[Real, Real
 
 
 def _undistorted(k1: float, r2: Real) -> tuple[Real, Real]:
-    """f = r / r' of r + k1 r^3 = r', and the root of the area's scale, for r'^2; beyond r' = 1.5 as there."""
-    r2 = np.minimum(r2, 2.25)  # for k1 >= -0.05 the law can be inverted up to there: 1.72
+    """f = r / r' of r + k1 r^3 = r', and the root of the area's scale, for r'^2.
+
+    Beyond r' = 1.5 as there, or as near the end of what a barrel can be inverted to, r'^2 = 4 / 27 |k1|.
+    """
+    furthest = 0.95 * 4.0 / (27.0 * -k1) if k1 < 0.0 else np.inf
+    r2 = np.minimum(r2, min(2.25, furthest))
     f = _radius_ratio(k1, r2)
     return f, np.sqrt(f / (1.0 + 3.0 * k1 * r2 * f**2))
 

@@ -99,7 +99,7 @@ def _walk_unfolded(scene: SceneArrays, wave: int, ray: Real, stream: Stream, led
                             x, y = x + dx * top_at, y + dy * top_at
                             _leave(ray, x, y, top, dx, dy, dz, half, n, 2, topped)
                             return OUT
-                        ledger[of.DBR_END] += weight
+                        ledger[of.DBR_END] += _dim(weight, alpha * top_at, ledger)
                         return ENDED
                 _note_top(trace, dz, leaks)
                 topped = True

@@ -65,7 +65,7 @@ def region_of(scene: Scene) -> Region:
     """Where the receiver of a scene is judged."""
     layout = scene.layout
     if isinstance(layout, Array):
-        return array_region(layout.rows, layout.columns, layout.spacing_um)
+        return array_region(layout.rows, layout.columns, layout.spacing_um, (layout.half_x_um, layout.half_y_um))
     return cell_region(layout.spacing_um)
 
 

@@ -35,6 +35,8 @@ from luxloop.ray import Module, RayRequest
 TOLD_TRUNCATION = 0.003
 """Of U: a bound on what the modes left out do to it that is worth a warning."""
 DIRECTION_BINS = (128, 64)
+MOST_TWIN_HISTORIES = 10_000_000
+"""Whose exits, 23 bytes each, are in memory at once."""
 """Of the far field: cosine of theta over the whole sphere, azimuth."""
 
 
@@ -58,7 +60,7 @@ def simulate(
     Raises
     ------
     InputError : a design that cannot be built, a film that is not the design's, a table that creates energy, a target
-        over its budget, too few histories, pixels beyond the receiver.
+        over its budget, too few histories, a module too large for its height, pixels beyond the receiver's pad.
     Stopped : cancelled.
 
     Notes
@@ -176,6 +178,9 @@ def _twin(request: RayRequest, scene: Scene, source: ExitSource, progress: Progr
     if request.histories is None:
         mend = "the twin has no error to stop by but its exits'; 1,000,000 are usual"
         raise InputError("histories", None, "a count with method = twin", mend)
+    if request.histories > MOST_TWIN_HISTORIES:
+        mend = "all their exits are in memory at once; the twin's own error does not fall with more"
+        raise InputError("histories", request.histories, f"up to {MOST_TWIN_HISTORIES:,} with method = twin", mend)
     if request.far_field:
         raise InputError("far_field", True, "false with method = twin", "use monte_carlo")
     blocks, seed = blocks_of(request.histories) // BLOCK, int(request.exit_seed)

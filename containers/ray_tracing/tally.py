@@ -12,14 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from containers.ray_tracing.arrays import ENDS, Sinks
-from containers.ray_tracing.field import mode_count
+from containers.ray_tracing.field import CUTOFF_X, TAPER_END, mode_count
 from containers.scene import Array, Scene
+from luxloop.errors import InputError
 
 Real = NDArray[np.float64]
 
 GROUPS = 32
-MOST_BINS = 384
-"""Along an edge of a finite module."""
+MOST_BINS, MOST_NEEDED_BINS = 384, 768
+"""Along an edge of a finite module and its pad: as many as are fine, and where its modes need more than those."""
 FIRST, LATER = range(2)
 """Layers of the bins: first arrivals at the receiver, and those after it sent light back."""
 OPTICAL_EVENTS = ("through_dbr", "from_sides", "after_top_reflection", "after_receiver")
@@ -39,7 +40,7 @@ class Box:
 
     @classmethod
     def of(cls, scene: Scene) -> Box:
-        """Fine enough that the bins' window takes 2 % off the highest mode that is kept.
+        """Fine enough that the bins' window takes 2 to 20 % off the highest mode that is kept; it is divided out.
 
         A module has a pad around it, where the map goes on beyond its edge; walls stand between bins.
         """
@@ -48,6 +49,7 @@ class Box:
             pad = 2.0 * scene.distance_um
             most = max(layout.half_x_um, layout.half_y_um) + pad
             step = max(min(height / 8.0, layout.spacing_um / 32.0), 2.0 * most / MOST_BINS)
+            step = max(min(step, _widest_um(height)), 2.0 * most / MOST_NEEDED_BINS)
             inner = 0.0 if layout.wall is None else pad  # what is a whole number of bins wide ends there
             half_x, half_y = layout.half_x_um + pad - inner, layout.half_y_um + pad - inner
             step = half_x / _whole(half_x / step, half_y / step)
@@ -99,6 +101,7 @@ class Tally:
     def empty(cls, scene: Scene, groups: int = GROUPS, direction_bins: tuple[int, int] = (0, 0)) -> Tally:
         """Nothing yet; `direction_bins` (cosine, azimuth) where the far field is wanted."""
         box = Box.of(scene)
+        _refuse_too_large(scene, box)
         return cls(
             box,
             np.zeros((groups, 2, box.rows, box.columns)),
@@ -144,6 +147,21 @@ class Tally:
         quarter = (bins + bins.swapaxes(1, 2)) / 8.0
         half = np.concatenate([quarter[:, ::-1], quarter], axis=1)
         return np.concatenate([half[:, :, ::-1], half], axis=2)
+
+
+def _widest_um(height_um: float) -> float:
+    """The widest bins that tell the highest mode of a module."""
+    return float(np.pi * height_um / (TAPER_END * CUTOFF_X))
+
+
+def _refuse_too_large(scene: Scene, box: Box) -> None:
+    """InputError, before anything is traced, for a module whose bins cannot be as narrow as its height asks for."""
+    layout, widest = scene.layout, _widest_um(scene.height_um)
+    if isinstance(layout, Array) and box.step_um > widest:
+        most = widest * MOST_NEEDED_BINS - 4.0 * scene.distance_um
+        sides = f"{2 * layout.half_x_um:g} x {2 * layout.half_y_um:g} um"
+        mend = "fewer chips, a smaller pitch, or a higher receiver"
+        raise InputError("array", sides, f"up to about {max(most, 0.0):.0f} um a side at this height", mend)
 
 
 def _whole(columns: float, rows: float) -> int:

@@ -75,8 +75,14 @@ def cell_region(spacing_um: float) -> Region:
     )  # fmt: skip
 
 
-def array_region(rows: int, columns: int, spacing_um: float) -> Region:
+def array_region(
+    rows: int, columns: int, spacing_um: float, half_um: tuple[float, float] = (np.inf, np.inf)
+) -> Region:
     """A finite array about (0, 0): the chip row nearest the centre, the middle half of its length, 401 points.
+
+    Parameters
+    ----------
+    half_um : half widths (x, y) of the receiver; line, area and the point between chips end where it does.
 
     Notes
     -----
@@ -86,12 +92,16 @@ def array_region(rows: int, columns: int, spacing_um: float) -> Region:
     """
     if rows < 1 or columns < 1 or not spacing_um > 0.0:
         raise InputError("array", (rows, columns, spacing_um), "1 or more rows and columns, a pitch above 0 um")
-    quarter = columns * spacing_um / 4.0
+    patch = columns * spacing_um / 2.0, rows * spacing_um / 2.0
+    area = min(patch[0], half_um[0]), min(patch[1], half_um[1])
+    reach = min(patch[0] / 2.0, half_um[0])
     chip = tuple(0.0 if count % 2 else spacing_um / 2.0 for count in (columns, rows))
+    gap = tuple(max(at - spacing_um / 2.0, -half) for at, half in zip(chip, half_um, strict=True))
+    pitches = f"{columns} x {rows} pitches of {spacing_um:g} um"
     return Region(
-        np.linspace(-quarter, quarter, LINE_POINTS), chip[1], (2.0 * quarter, rows * spacing_um / 2.0),
-        (chip[0], chip[1]), (chip[0] - spacing_um / 2.0, chip[1] - spacing_um / 2.0), False,
-        f"chip row y = {chip[1]:g} um, |x| <= {quarter:g} um; area: {columns} x {rows} pitches of {spacing_um:g} um",
+        np.linspace(-reach, reach, LINE_POINTS), chip[1], area, (chip[0], chip[1]), (gap[0], gap[1]), False,
+        f"chip row y = {chip[1]:g} um, |x| <= {reach:g} um; area: {pitches}"
+        + ("" if area == patch else f", of which the receiver has {2 * area[0]:g} x {2 * area[1]:g} um"),
     )  # fmt: skip
 
 

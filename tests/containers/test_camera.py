@@ -396,3 +396,16 @@ def test_digital_numbers_are_black_plus_gain_times_irradiance_plus_offset() -> N
     """The base image model of a data set."""
     light, camera = spot(), Camera(gain_dn=250.0, offset_dn=-3.0, black_level_dn=64.0)
     assert error(expected_image(light, camera), 64.0 + 250.0 * image_of_spot(camera) - 3.0) < 2e-6
+
+
+def test_a_barrel_beyond_what_can_be_inverted_stays_on_its_side() -> None:
+    """Camera and effect add up to k1 = -0.07: places change smoothly with it, no pixel looks across the axis."""
+    places = []
+    for k1 in (-0.0655, -0.066, -0.07):
+        camera = Camera(rows=32, columns=32, pixel_um=8.0).model_copy(update={"distortion": k1})
+        margin = np.arange(-8.0, 40.0)
+        x, _, side = receiver_points(camera, margin, margin)
+        assert np.isfinite(side).all()
+        assert (np.sign(x[:, :16]) < 0.0).all()
+        places.append(x)
+    assert np.abs(places[1] - places[0]).max() < 5.0

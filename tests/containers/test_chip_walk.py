@@ -102,6 +102,17 @@ def test_the_unfolded_walk_is_the_plain_walk(name: str) -> None:
         same_means(*with_path, counts, lambda rays, reach=reach: rays[:, -1] < reach)
 
 
+@pytest.mark.parametrize("R", [0.5, 0.9])
+def test_what_a_lossy_top_takes_has_been_dimmed_on_the_way_to_it(R: float) -> None:
+    """Of light that ends there the chip has had its share: the ends of the unfolded walk are the plain one's."""
+    of, count = scene({"top": taking(R, 0.3 * (1.0 - R), beyond=R), "absorption_per_um": 0.02}), 40_000
+    _, unfolded, _ = exits_of(of, unfold=True, count=count, sobol=False)
+    _, plain, _ = exits_of(of, unfold=False, count=count, seed=2, sobol=False)
+    for end in ("chip", "dbr"):
+        place = ENDS.index(end)
+        assert unfolded[place] == pytest.approx(plain[place], abs=4.5 * np.sqrt(0.5 / count)), end
+
+
 @pytest.mark.parametrize("intensity", [(1.0, 1.0, 1.0), (2.0, 1.0, 2.0), (0.5, 1.0, 3.0)])
 @pytest.mark.parametrize("absorption", [0.0, 0.01])
 @pytest.mark.parametrize("R", [0.9, 1.0])

@@ -233,6 +233,22 @@ def test_the_line_of_a_module_is_its_middle_half() -> None:
     assert "375" in result["region"]
 
 
+def test_a_module_narrower_than_its_pitch_is_judged_on_its_receiver() -> None:
+    """Its mean is that of its map, which ends with the receiver; beyond there is a pad that is no result."""
+    result, arrays = traced(request(array={"rows": 1, "columns": 1, "half_um": 100.0}, histories=4 * GROUPS * BLOCK))
+    assert result["metrics"]["mean_illuminance_lx"]["value"] == pytest.approx(arrays["map_lx"].mean(), rel=0.01)
+    assert result["cut"]["window_um"] == [-100.0, 100.0]
+
+
+def test_a_module_too_large_for_its_height_is_refused_before_it_is_traced() -> None:
+    """As many bins as its modes need are taken up to a limit; beyond it the sides that would do are named."""
+    low = DESIGN | {"distance_um": 100.0, "thickness_um": 55.0}
+    result, _ = traced(request(design=low, array={"rows": 9, "columns": 9}, histories=8 * GROUPS * BLOCK))
+    assert result["histories"] == 8 * GROUPS * BLOCK
+    with pytest.raises(InputError, match=r"array: got '7500 x 7500 um', allowed: up to about 7440 um a side"):
+        traced(request(design=low, array={"rows": 15, "columns": 15}, histories=10**11))
+
+
 # Far field, rays, images
 
 

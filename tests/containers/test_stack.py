@@ -118,3 +118,12 @@ def test_a_wavelength_outside_a_materials_data_is_refused() -> None:
     silver = dbr_stack(1.0, gan=gan, aln=Medium(material="Ag"), gan_layer_nm=45.2, aln_layer_nm=51.6)
     with pytest.raises(InputError, match="300 to 1700 nm"):
         resolve(silver, [445.0, 1800.0])
+
+
+def test_a_layer_that_an_effect_made_thinner_than_nothing_is_refused() -> None:
+    """A film of negative thickness would be computed as if it were one: R(0) = 0.998 and no word."""
+    stack = dbr_of(PAPER, 2.5)
+    layer = stack.layers[1].model_copy(update={"thickness_nm": -45.2})
+    wrong = stack.model_copy(update={"layers": (stack.layers[0], layer, *stack.layers[2:])})
+    with pytest.raises(InputError, match=r"thickness_nm: got -45\.2"):
+        resolve(wrong, [445.0])

@@ -244,6 +244,17 @@ def test_the_line_of_an_array_is_the_middle_half_of_the_row_nearest_the_centre(
     assert f"y = {line_y_um:g} um" in region.text
 
 
+def test_where_the_receiver_ends_before_the_array_does_so_does_the_region() -> None:
+    """What lies beyond is no result: line, area and the point between chips are on the receiver."""
+    region = array_region(1, 1, S, (100.0, 60.0))
+    assert region.line_um[[0, -1]].tolist() == [-100.0, 100.0]
+    assert region.half_width_um == (100.0, 60.0)
+    assert region.gap_um == (-100.0, -60.0)
+    assert "of which the receiver has 200 x 120 um" in region.text
+    wide = array_region(3, 3, S, (2_000.0, 2_000.0))
+    assert (wide.half_width_um, wide.text) == (array_region(3, 3, S).half_width_um, array_region(3, 3, S).text)
+
+
 def test_a_single_lambertian_point_falls_off_as_cos_to_the_fourth() -> None:
     """One chip, pitch S: U = cos^4 at a quarter pitch, from a module's bins, within the truncation."""
     n, box = 120, 750.0
