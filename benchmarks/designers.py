@@ -1,6 +1,6 @@
 """Every designer on equal budgets: steps until it is within 0.5 points of the best known, beside peers on the like.
 
-    python benchmarks/designers.py [--objective A] [--seeds 10] [--steps 2000] [--lanes 1] [--processes 2] [--only ddqn-fast ...]
+    python benchmarks/designers.py [--objective A] [--seeds 10] [--steps 2000] [--lanes 1] [--only ddqn-fast ...]
 
 The objectives are those of tests/objectives.py with 0.3 % noise; a hit is the first design visited whose value free
 of noise is within 0.5 points of the best known: the best of 200 ascents from random designs, and of all the runs.
@@ -143,7 +143,8 @@ def main() -> None:
         found = {name: [one.result() for one in runs] for name, runs in waiting.items()}
     top = max(best_known(asked.objective), *(one.best[-1] for runs in found.values() for one in runs))
     heads = ["designer", "hits", "evaluations (quartiles)", "episodes", "best@100", f"best@{asked.steps}", "s/seed"]
-    title = f"objective {asked.objective}, best known {top:.2f}, {NOISE:.1%} noise, {asked.steps:,} steps, {asked.lanes} at once"
+    steps = f"{asked.steps:,} steps, {asked.lanes} at once"
+    title = f"objective {asked.objective}, best known {top:.2f}, {NOISE:.1%} noise, {steps}"
     table(title, [row(name, runs, top) for name, runs in found.items()], heads)
     column = "ABC".index(asked.objective) + 1
     table(

@@ -45,8 +45,8 @@ def images_of(
 
     Raises
     ------
-    InputError : pixels beyond the pad of a finite module, two distances past its edge, or so many periods of a cell in
-        view that their map would be too large.
+    InputError : pixels beyond the pad of a finite module, two distances past its edge, or so many periods of a cell
+        in view that their map would be too large.
     """
     sums: list[tuple[Real, Real]] = []
     cameras = [effects.camera(camera) for camera in cameras]
