@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 from typing import Any, Literal
 
@@ -13,6 +12,7 @@ from agent.designers import NAMES, SEARCHES, learning_of
 from luxloop.campaign import Fidelity, Plan, Reward
 from luxloop.design import Bounds, Design
 from luxloop.errors import InputError
+from luxloop.files import read_text, toml_of
 from luxloop.model import Model
 from luxloop.words import Words, parse
 
@@ -115,7 +115,7 @@ def read_campaign(path: Path | None, **given: Any) -> Campaign:
     `bounds` may be a preset's name; `learning` goes over the designer's preset. Raises InputError naming file, field,
     value and range.
     """
-    plain: dict[str, Any] = _toml(path) if path else {}
+    plain: dict[str, Any] = toml_of(read_text(path, "--config", "a TOML file"), path.name) if path else {}
     for name, value in given.items():
         if value is not None:
             part, _, field = name.partition("__")
@@ -156,12 +156,3 @@ def _refuse_unmeant(campaign: Campaign, learning: Learning, where: str) -> None:
     if learning.restart == "start" and campaign.start is None and learning.start is None:
         mend = "say where under [start], with all five lengths of a design"
         raise InputError(f"{where}.restart", learning.restart, "only where a start is given", mend)
-
-
-def _toml(path: Path) -> dict[str, Any]:
-    try:
-        return tomllib.loads(path.read_text())
-    except OSError as error:
-        raise InputError("--config", str(path), "a TOML file that can be read", error.strerror or "") from error
-    except (ValueError, RecursionError) as error:
-        raise InputError("--config", str(path), "TOML", str(error)) from error

@@ -5,13 +5,13 @@ from __future__ import annotations
 import json
 import sys
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from agent.options import (
     BoundsName,
-    Config,
     FinalError,
     Json,
     Lanes,
@@ -31,14 +31,24 @@ if TYPE_CHECKING:
     from agent.progress import Found
 
 RIVALS = "ddqn-fast,ddqn-fast-random,pattern,random"
+EVALUATIONS = 100
+UNUSED = {"designer": "--designers names them", "seed": "each designer runs with the seeds 1 to --seeds"}
+"""What a file may say that has no place here: a comparison has several designers, and several seeds."""
 
 
 def compare(
     designers: Annotated[str, typer.Option(help="Names, with commas between.")] = RIVALS,
     seeds: Annotated[int, typer.Option(min=1, max=100, help="Runs of each, with seeds 1, 2, ...")] = 3,
-    evaluations: Annotated[int, typer.Option(min=1, help="Different designs that each run may evaluate.")] = 100,
+    evaluations: Annotated[
+        int | None, typer.Option(min=1, help="Different designs that each run may evaluate; default 100.")
+    ] = None,
     model: ModelName = "paper",
-    config: Config = None,
+    config: Annotated[
+        Path | None,
+        typer.Option(
+            help="TOML file with settings of all runs; options go over it. Its designer and seed are not used."
+        ),
+    ] = None,
     bounds: BoundsName = None,
     method: MethodOption = None,
     walk_error: WalkError = None,
@@ -55,7 +65,7 @@ def compare(
     from agent.comparison import refuse_own, rows
     from agent.config import read_campaign
     from agent.designers import NAMES
-    from agent.launch import launch, running_set
+    from agent.launch import launch, running_set, warn
 
     names = [name.strip() for name in designers.split(",") if name.strip()]
     for name in names or [designers]:
@@ -68,6 +78,12 @@ def compare(
         lanes=lanes, stop__evaluations=evaluations,
     )  # fmt: skip
     refuse_own(campaign)
+    for field in UNUSED if config and not quiet else ():
+        if field in campaign.model_fields_set:
+            warn(f"{config}: {field} = {getattr(campaign, field)!r} is not used: {UNUSED[field]}")
+    if "evaluations" not in campaign.stop.model_fields_set:
+        stop = campaign.stop.model_copy(update={"evaluations": EVALUATIONS})
+        campaign = campaign.model_copy(update={"stop": stop})
     show = sys.stderr.isatty() and not (as_json or quiet)
     begun = f"{datetime.now(UTC):%Y%m%d-%H%M%S}"
     with running_set(settings, local=not no_local) as shared:

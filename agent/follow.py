@@ -32,7 +32,7 @@ from luxloop.bus.zenoh_bus import ZenohBus
 from luxloop.campaign import RunId, Step
 from luxloop.endpoint import listening
 from luxloop.errors import InputError, RemoteError
-from luxloop.journal.reader import RunJournal, segments_of
+from luxloop.journal.reader import RunJournal, left_over, segments_of
 from luxloop.journal.scan import Scan
 from luxloop.journal.segment import being_written
 from luxloop.journal.topics import Close, Record
@@ -85,12 +85,19 @@ class Seen:
 
 def from_journal(folder: Path) -> Iterator[Record]:
     """The records of a run from its beginning, then as they are committed, until nobody writes it any more."""
-    done = 0
-    while paths := segments_of(folder)[done:]:
+    done: set[Path] = set()
+    while paths := [path for path in _segments(folder) if path not in done]:
         for path in paths:
             for commit in Scan(path, partial(_more, path)):
                 yield from (link for link in commit.links if isinstance(link, Record) and link.topic in TOPICS)
-        done += len(paths)
+        done.update(paths)
+
+
+def _segments(folder: Path) -> list[Path]:
+    """The segments that a run consists of, as `RunJournal` has them; it cannot be asked before the first commit."""
+    paths = segments_of(folder)
+    again = left_over(paths)
+    return [path for path in paths if path not in again]
 
 
 def _more(path: Path) -> bool:

@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from importlib.metadata import entry_points
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -106,6 +107,7 @@ def check_page(page: Path) -> None:
     try:
         if page.exists():
             os.close(os.open(page, os.O_WRONLY | os.O_NONBLOCK))  # refuses a folder; changes nothing
+            TemporaryFile(dir=page.resolve().parent).close()  # the new one is written beside it first
         else:
             page.touch(exist_ok=False)
             page.unlink()

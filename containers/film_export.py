@@ -8,6 +8,7 @@ from containers.thin_film.exports import Exported, opticstudio, radiance_xml, sp
 from containers.thin_film.scatter import AbcSpectrum
 from containers.thin_film.surface import averaging_loss, film_bsdf
 from containers.thin_film.table import FilmTable, Side
+from luxloop.files import whole
 
 
 def export_table(table: FilmTable, side: Side, file: Path, faces: AbcSpectrum | None = None) -> dict[str, float]:
@@ -17,7 +18,8 @@ def export_table(table: FilmTable, side: Side, file: Path, faces: AbcSpectrum | 
     that light is left out there, and `scatter_ratio` says how much that is. The `.coated` format has no scatter.
     """
     exported = FORMATS[file.suffix.lower()](table, side, faces)
-    file.write_text(exported.text, encoding="utf-8")
+    with whole(file) as fresh:
+        fresh.write_text(exported.text, encoding="utf-8")
     return dict(exported.lost)
 
 

@@ -15,6 +15,7 @@ from containers.ray_tracing.exports import RaySet, photometric_web, tm25
 from containers.ray_tracing.exports import ies as ies_text
 from containers.ray_tracing.far_field import FarField, luminous_flux_lm
 from luxloop.bus.frame import Array
+from luxloop.files import whole
 from luxloop.ray import RayRequest
 
 Document = dict[str, Any]
@@ -24,7 +25,7 @@ def write_npz(document: Document, arrays: Mapping[str, Array], request: RayReque
     """All arrays by name, compressed, with the document and the request as JSON text beside them."""
     texts = {"document_json": json.dumps(document), "request_json": request.model_dump_json()}
     held: dict[str, Any] = {**arrays, **{name: np.array(text) for name, text in texts.items()}}
-    with file.open("wb") as opened:  # numpy would put .npz at the end of another name
+    with whole(file) as fresh, fresh.open("wb") as opened:  # numpy would put .npz at the end of another name
         np.savez_compressed(opened, **held)
 
 
@@ -37,12 +38,14 @@ def write_ies(document: Document, arrays: Mapping[str, Array], request: RayReque
     web = photometric_web(field, flux_lm, (y1 - y0) * 1e-6, (x1 - x0) * 1e-6, eightfold=far["eightfold"])
     finite = document["array"] is not None
     remark = "finite module" if finite else "one chip of an endless array"
+    model = document["model"]["name"].encode("ascii", "replace").decode()  # such files know no other letters
     keywords = {
         "LUMINAIRE": f"{request.design}",
-        "OTHER": f"{remark}, light at its first arrival at the receiver, model {document['model']['name']}"[:120],
+        "OTHER": f"{remark}, light at its first arrival at the receiver, model {model}"[:120],
     }
     text = ies_text(replace(web, keywords=keywords), datetime.now(UTC).date())
-    file.write_text(text, encoding="ascii", newline="")
+    with whole(file) as fresh:
+        fresh.write_text(text, encoding="ascii", newline="")
 
 
 def write_rays(document: Document, arrays: Mapping[str, Array], request: RayRequest, file: Path) -> None:
@@ -61,7 +64,8 @@ def write_rays(document: Document, arrays: Mapping[str, Array], request: RayRequ
             "geometry": "x, y from the chip's centre, z from the substrate towards the receiver",
         },
     )
-    file.write_bytes(tm25(rays, datetime.now(UTC)))
+    with whole(file) as fresh:
+        fresh.write_bytes(tm25(rays, datetime.now(UTC)))
 
 
 WRITERS: dict[str, Callable[[Document, Mapping[str, Array], RayRequest, Path], None]] = {

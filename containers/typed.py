@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 import os
 from pathlib import Path
+from tempfile import TemporaryFile
 
 from luxloop.errors import InputError
+from luxloop.film import GRAZING_DEG, MAX_PLACES
 from luxloop.stack import MAX_K, MAX_LAYERS, MAX_N, MAX_NAME, MAX_ROUGHNESS_NM, MAX_THICKNESS_NM, Layer, Medium, Stack
 from luxloop.words import parse
 
-MOST_NUMBERS = 10_000
 WAVELENGTH_NM = (1.0, 1e6)
 EXAMPLE = "for example GaN | AlN 51.6 ~1 | air"
 
@@ -26,15 +27,15 @@ def numbers(option: str, text: str) -> list[float]:
         raise InputError(option, text, "finite numbers", mend)
     if ":" in text:
         return _range(option, text, parts, allowed)
-    if len(parts) > MOST_NUMBERS:
-        raise InputError(option, text, f"at most {MOST_NUMBERS:,} values", "ask in parts")
+    if len(parts) > MAX_PLACES:
+        raise InputError(option, text, f"at most {MAX_PLACES:,} values", "ask in parts")
     return parts
 
 
 def angles_deg(option: str, text: str) -> list[float]:
     """The angles of incidence in a text, degrees; InputError naming the option unless all are from 0 to below 90."""
     mend = "angles from the normal; at 90 light only grazes the film: end at 89.9"
-    return _all_within(option, numbers(option, text), 0.0, 90.0, "0 to below 90 deg", mend, below=True)
+    return _all_within(option, numbers(option, text), 0.0, GRAZING_DEG, "0 to below 90 deg", mend, below=True)
 
 
 def wavelengths_nm(option: str, text: str) -> list[float]:
@@ -74,8 +75,8 @@ def _range(option: str, text: str, parts: list[float], allowed: str) -> list[flo
         raise InputError(option, text, f"{allowed}, step above 0, last not below first", "for example 0:80:20")
     first, last, step = parts
     steps = (last - first) / step  # infinite where the range is enormous or the step is tiny
-    if steps >= MOST_NUMBERS:
-        raise InputError(option, text, f"at most {MOST_NUMBERS:,} values", "take a larger step")
+    if steps >= MAX_PLACES:
+        raise InputError(option, text, f"at most {MAX_PLACES:,} values", "take a larger step")
     return [min(first + i * step, last) for i in range(int(steps + 1e-9) + 1)]
 
 
@@ -172,6 +173,8 @@ def _try_to_write(file: Path) -> None:
     """Raises OSError where that cannot be done; leaves what is there as it is. Rights alone do not tell."""
     if file.exists():
         os.close(os.open(file, os.O_WRONLY | os.O_NONBLOCK))  # a folder, and a pipe that nobody reads, are refused
+        if file.is_file():
+            TemporaryFile(dir=file.resolve().parent).close()  # the new one is written beside it first
         return
     file.touch(exist_ok=False)
     file.unlink()

@@ -14,8 +14,8 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 
+from env_controller.taken import refuse_taken
 from env_controller.watch import Server, Watch
-from luxloop.endpoint import refuse_taken
 from luxloop.errors import LuxloopError
 from luxloop.process import orphaned, usable_cores
 from luxloop.settings import Settings, as_environment, usable_cache

@@ -22,8 +22,8 @@ Quiet = Annotated[bool, typer.Option("--quiet", help="Say nothing on stderr but 
 
 def router(router: Router = None, quiet: Quiet = False) -> None:
     """Be the router that all processes meet at; binds to loopback unless told otherwise."""
+    from env_controller.taken import refuse_taken
     from luxloop.bus.zenoh_bus import run_router
-    from luxloop.endpoint import refuse_taken
 
     settings = load_settings(router=router)
     _look_at_dates(settings, quiet)

@@ -15,7 +15,7 @@ import sys
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
-from luxloop.errors import InputError, LuxloopError, RemoteError
+from luxloop.errors import InputError, LuxloopError, RemoteError, shown
 
 if TYPE_CHECKING:
     import typer
@@ -130,7 +130,7 @@ def _colour() -> bool | None:
 def _as_object(error: LuxloopError) -> dict[str, Any]:
     if isinstance(error, InputError):
         return {
-            "code": "bad_input", "field": error.field, "value": repr(error.value)[:200],
+            "code": "bad_input", "field": error.field, "value": shown(error.value, 200),
             "allowed": error.allowed, "mend": error.mend,
         }  # fmt: skip
     if isinstance(error, RemoteError):

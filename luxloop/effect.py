@@ -33,16 +33,13 @@ class EffectParameter(Words):
     upper: float | None = None
     choices: tuple[str, ...] = ()
     per_chip: bool = False
-    off: float | str | None = Field(
-        None, description="Value at which the effect is absent; none: it has no such value."
-    )
+    off: float | str | None = Field(None, description="Value at which the effect is absent; none: nowhere.")
     score_variable: Literal["value", "square"] = Field(
         "value", description="What has a slope at off: the parameter, or its square (roughness, slopes, rms)."
     )
     one_sided: bool = Field(False, description="Only one side of off exists.")
     shape_grid: tuple[float, ...] = Field(
-        (),
-        description="Values to try where the parameter says nothing while the effect is off (a length, a position).",
+        (), description="Values to try where the parameter says nothing while the effect is off (a length, say)."
     )
 
     @model_validator(mode="after")

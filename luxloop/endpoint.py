@@ -1,14 +1,12 @@
-"""The endpoint of a router, `tcp/HOST:PORT` or `tls/HOST:PORT`: what may stand there, could a router listen there."""
+"""The endpoint of a router, `tcp/HOST:PORT` or `tls/HOST:PORT`: what may stand there, does anything listen there."""
 
 from __future__ import annotations
 
-import errno
 import ipaddress
 import re
 import socket
-from typing import Any
 
-from luxloop.errors import InputError, LuxloopError
+from luxloop.errors import InputError
 
 ALLOWED = "tcp/HOST:PORT (tls/ with certificates), HOST a name, an IPv4 or a bracketed IPv6 address, PORT 1 to 65535"
 EXAMPLES = "e.g. tcp/127.0.0.1:7447 or tcp/[::1]:7447"
@@ -66,32 +64,6 @@ def listening(endpoint: str) -> bool:
             return True
     except (OSError, UnicodeError):
         return False
-
-
-def refuse_taken(endpoint: str) -> None:
-    """Raises LuxloopError, with the mend, where no router could listen at `endpoint` now; returns nothing."""
-    host, port = host_and_port(endpoint)
-    try:
-        wrong = [_refusal(*address) for address in socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)]
-    except OSError as error:  # no such host
-        wrong = [error]
-    if None in wrong:  # a name may have several addresses: one is enough
-        return
-    taken = any(error is not None and error.errno == errno.EADDRINUSE for error in wrong)
-    why = "something listens there already" if taken else getattr(wrong[0], "strerror", None) or str(wrong[0])
-    look = "use it as it is (luxloop doctor says what it is), or " if taken else ""
-    raise LuxloopError(f"cannot listen at {endpoint}: {why}; {look}choose another with --router or LUXLOOP_ROUTER")
-
-
-def _refusal(family: int, kind: int, protocol: int, _name: str, address: tuple[Any, ...]) -> OSError | None:
-    """What the system says against listening at this address; as for zenoh, one that listened before is no hurdle."""
-    try:
-        with socket.socket(family, kind, protocol) as probe:
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            probe.bind(address)
-    except OSError as error:
-        return error
-    return None
 
 
 def is_host(host: str) -> bool:

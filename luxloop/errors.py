@@ -20,6 +20,20 @@ if TYPE_CHECKING:
     from luxloop.failure import Failure
 
 
+def shortened(text: str, most: int) -> str:
+    """`text`, its end left out where it is longer than `most` characters."""
+    return text if len(text) <= most else text[: most - 3] + "..."
+
+
+def shown(value: object, most: int = 80) -> str:
+    """A value in at most `most` characters, also one that Python refuses to write out."""
+    try:
+        text = repr(value)
+    except (ValueError, RecursionError):  # a number of more than 4,300 digits; what nests too deeply
+        text = hex(value) if isinstance(value, int) else f"a {type(value).__name__} too large to show"
+    return shortened(text, most)
+
+
 class LuxloopError(Exception):
     """Base of all errors that a caller may want to catch; `exit_code` is what the command line ends with."""
 
@@ -33,9 +47,8 @@ class InputError(LuxloopError, ValueError):
 
     def __init__(self, field: str, value: object, allowed: str, mend: str = "") -> None:
         self.field, self.value, self.allowed, self.mend = field, value, allowed, mend
-        shown = repr(value)
-        shown = shown if len(shown) <= 80 else shown[:77] + "..."
-        super().__init__(f"{field}: got {shown}, allowed: {allowed}" + (f"; {mend}" if mend else ""))
+        said = f"{shortened(field, 400)}: got {shown(value)}, allowed: {shortened(allowed, 1000)}"
+        super().__init__(said + (f"; {shortened(mend, 1000)}" if mend else ""))
 
     def __reduce__(self) -> tuple[type[InputError], tuple[str, object, str, str]]:
         return type(self), (self.field, self.value, self.allowed, self.mend)

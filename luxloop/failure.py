@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-from luxloop.errors import InputError
+from luxloop.errors import InputError, shown
 from luxloop.words import Text, Words
 
 Code = Literal[
@@ -49,7 +49,7 @@ class Failure(Words):
         """An exception as a message: `InputError` keeps its fields, anything else is a crash of that side."""
         if isinstance(error, InputError):
             fields = {name: printable(str(getattr(error, name)))[:4000] for name in ("field", "allowed", "mend")}
-            said = {"message": printable(str(error))[:4000], "value": repr(error.value)[:200]}
+            said = {"message": printable(str(error))[:4000], "value": shown(error.value, 200)}
             return cls(code="bad_input", **fields, **said, where=where)
         return cls(code="crashed", message=printable(f"{type(error).__name__}: {error}")[:4000], where=where)
 

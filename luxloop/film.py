@@ -14,10 +14,11 @@ from luxloop.words import Words
 
 KIND = "film"
 
+GRAZING_DEG = 90.0
+"""Angles of incidence are below this: light only grazes the film there."""
 Wavelength = Annotated[float, Field(gt=0.0, le=1e6)]
-Angle = Annotated[float, Field(ge=0.0, lt=90.0)]
+Angle = Annotated[float, Field(ge=0.0, lt=GRAZING_DEG)]
 Pairs = Annotated[float, Field(ge=0.0, le=100.0, multiple_of=0.5)]
-
 
 HALF_SPAN_FWHM = 2.5
 """A line is cut at peak +- 2.5 FWHM; the golden averages move by less than 2e-9 for a wider and denser sampling."""
@@ -25,8 +26,8 @@ MAX_FWHM_PER_PEAK = 0.3
 """A wider line would begin below a quarter of its peak, where a Gaussian in wavelength describes no light source."""
 MIN_WAVELENGTHS = 11
 """The fewest to begin with; a table takes more where its stack asks for it (21 or 41 for the paper's: 1e-6 of R)."""
-MAX_VALUES = 1_000_000
-"""Wavelengths x nodes of a table."""
+MAX_PLACES, MAX_VALUES = 10_000, 1_000_000
+"""Different wavelengths, or angles, of a measurement; its wavelengths x angles, or those x nodes of a table."""
 
 
 class Spectrum(Words):
@@ -49,13 +50,10 @@ class Grid(Words):
     """How finely a table is sampled at the start, and how far it may err; it refines itself up to that."""
 
     wavelengths: int = Field(31, ge=1, le=1001, description="Uniform over peak +- 2.5 FWHM; 1: the peak alone.")
-    shared_nodes: int = Field(181, ge=2, le=10_001, description="Uniform in the angle of the less dense side.")
+    shared_nodes: int = Field(181, ge=3, le=10_001, description="Uniform in the angle of the less dense side.")
     dense_nodes: int = Field(120, ge=2, le=10_001, description="Beyond it, on the denser side.")
     tolerance_ratio: float = Field(
-        1e-3,
-        ge=1e-6,
-        le=1.0,
-        description="Error of T and R, line average of one polarisation, above which it is refined.",
+        1e-3, ge=1e-6, le=1.0, description="Error of T and R, line average of one polarisation, that is refined."
     )
 
     @model_validator(mode="after")
@@ -101,8 +99,8 @@ class FilmMeasurementRequest(_FilmRequest):
 
     what: Literal["measurement"] = "measurement"
     quantity: Literal["R", "T", "psi", "delta"]
-    wavelength_nm: tuple[Wavelength, ...] = Field(min_length=1, max_length=10_000)
-    aoi_deg: tuple[Angle, ...] = Field(min_length=1, max_length=10_000)
+    wavelength_nm: tuple[Wavelength, ...] = Field(min_length=1, max_length=MAX_PLACES)
+    aoi_deg: tuple[Angle, ...] = Field(min_length=1, max_length=MAX_PLACES)
     polarisation: Literal["s", "p", "u"] = "u"
     bandwidth_nm: float = Field(0.0, ge=0.0, le=1_000.0)
     from_side: Literal["outside", "inside"] = "outside"
@@ -110,8 +108,8 @@ class FilmMeasurementRequest(_FilmRequest):
     @model_validator(mode="after")
     def _fits_in_memory(self) -> FilmMeasurementRequest:
         values = len(self.wavelength_nm) * len(self.aoi_deg)
-        if values > 1_000_000:
-            raise InputError("wavelength_nm", values, "wavelengths x angles up to 1,000,000", "ask in parts")
+        if values > MAX_VALUES:
+            raise InputError("wavelength_nm", values, f"wavelengths x angles up to {MAX_VALUES:,}", "ask in parts")
         return self
 
 

@@ -41,10 +41,7 @@ class Surface(Strict):
         description="Shape of the scattered light: a lobe about the mirror direction, or Lambert's cosine law."
     )
     sigma_deg: float | None = Field(
-        None,
-        gt=0.0,
-        le=40.0,
-        description="Rayleigh scale of the lobe's polar angle; only where scatter is gaussian.",
+        None, gt=0.0, le=40.0, description="Rayleigh scale of the lobe's polar angle; only where scatter is gaussian."
     )
     reflectance: Fraction = Field(description="Share of the incident power that the surface sends back.")
 
@@ -72,24 +69,21 @@ class Environment(Strict):
         "averaged", description="One spectrum-averaged DBR table for all light, or a wavelength per history."
     )
     emission: Literal["isotropic", "in_plane_dipole"] = Field(
-        "isotropic",
-        description="Angular law of the emission inside the chip (c-plane wells are in-plane dipoles).",
+        "isotropic", description="Angular law of the emission inside the chip (c-plane wells are in-plane dipoles)."
     )
     active_layer_depth: Fraction | None = Field(
         None,
         description="Height of a thin emitting layer above the chip's bottom as a share of T; none: whole volume.",
     )
     indices: Literal["fixed", "dispersive"] = Field(
-        "fixed",
-        description="Refractive indices: n_gan and n_aln as given, or the material tables with dispersion.",
+        "fixed", description="Refractive indices: n_gan and n_aln as given, or the material tables with dispersion."
     )
     n_gan: Index = Field(2.4869, description="Refractive index of GaN, bulk and layers, where indices is fixed.")
     n_aln: Index = Field(2.1793, description="Refractive index of the AlN layers, where indices is fixed.")
     gan_layer_nm: Thickness = Field(45.2, description="Thickness of each GaN layer of the DBR.")
     aln_layer_nm: Thickness = Field(51.6, description="Thickness of each AlN layer of the DBR.")
     layer_order: Literal["gan_first", "aln_first"] = Field(
-        "gan_first",
-        description="Which layer of the DBR lies on the bulk; N.5 pairs end with the same material.",
+        "gan_first", description="Which layer of the DBR lies on the bulk; N.5 pairs end with the same material."
     )
     chip_bottom: Literal["contact", "mirror", "air_gap"] = Field(
         "contact",

@@ -8,32 +8,30 @@ its two surfaces, `[fit."PATH"]`, `[data]`, `[[effects]]`, `[samples.ID.EFFECT]`
 from __future__ import annotations
 
 import json
-import re
-import tomllib
 import typing
 from functools import cache
-from importlib.resources import files
+from importlib import resources
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from pydantic import BaseModel, ValidationError
 
+from luxloop import files
 from luxloop.effect import AppliedEffect, did_you_mean
-from luxloop.errors import InputError
+from luxloop.errors import InputError, shortened
 from luxloop.model import Environment, Fit, Model, Surface
 from luxloop.units import unit_of
 from luxloop.words import as_input_error
 
 SCHEMA = "luxloop-model/1"
 SHIPPED = ("paper", "clear_chip")
-MAX_BYTES = 1 << 20
 
 
 def find_model(path_or_name: str | Path) -> Model:
     """The model of that name among those shipped (`paper`, `clear_chip`), or in that file."""
     if str(path_or_name) in SHIPPED:
         name = f"{path_or_name}.toml"
-        return parse_toml(files("luxloop").joinpath("models", name).read_text(encoding="utf-8"), name)
+        return parse_toml(resources.files("luxloop").joinpath("models", name).read_text(encoding="utf-8"), name)
     return read_model(Path(path_or_name))
 
 
@@ -44,31 +42,13 @@ def read_model(path: Path) -> Model:
 
 def read_text(path: Path) -> str:
     """The text of a model file, or an InputError where there is none."""
-    try:
-        raw = path.read_bytes()
-    except FileNotFoundError:
-        mend = did_you_mean(str(path), SHIPPED) or "luxloop model new writes one"
-        raise InputError("model", str(path), f"a model file, or {' or '.join(SHIPPED)}", mend) from None
-    except OSError as error:
-        raise InputError("model", str(path), "a file that can be read", str(error.strerror)) from None
-    if len(raw) > MAX_BYTES:
-        raise InputError(path.name, f"{len(raw)} bytes", f"a model file of at most {MAX_BYTES} bytes")
-    try:
-        return raw.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise InputError(path.name, raw[error.start : error.start + 8], "UTF-8 text", "save it as UTF-8") from None
+    mend = did_you_mean(str(path), SHIPPED) or "luxloop model new writes one"
+    return files.read_text(path, "model", f"a model file, or {' or '.join(SHIPPED)}", mend)
 
 
 def parse_toml(text: str, where: str) -> Model:
     """The model that a file's text says; `where` is the file's name and leads every error."""
-    try:
-        data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        number = int(found[1]) if (found := re.search(r"line (\d+)", str(error))) else text.count("\n") + 1
-        line = [*text.split("\n"), ""][number - 1]
-        raise InputError(f"{where}: line {number}", line, "TOML", str(error)) from None
-    except (ValueError, RecursionError) as error:
-        raise InputError(where, str(error), "TOML", "a number is too long, or brackets nest too deeply") from None
+    data = files.toml_of(text, where)
     schema = data.pop("schema", None)
     if schema != SCHEMA:
         mend = f'begin the file with schema = "{SCHEMA}"' if schema is None else "written for another luxloop"
@@ -177,17 +157,15 @@ def _shown(value: object) -> str:
     if value is None:
         return "(none)"
     if isinstance(value, str):
-        text = value if value.isprintable() else json.dumps(value)
-        return text if len(text) <= 60 else text[:57] + "..."
+        return shortened(value if value.isprintable() else json.dumps(value), 60)
     return f"{value:.10g}" if isinstance(value, float) else str(value)
 
 
 def _mendable(error: ValidationError, where: str) -> InputError:
     """The first wrong field as an InputError with its whole range and meaning, or the word that was meant."""
     wrong = error.errors()
-    first = next(
-        (one for one in wrong if one["type"] == "extra_forbidden"), wrong[0]
-    )  # a misspelling explains the rest
+    # a misspelling explains the rest
+    first = next((one for one in wrong if one["type"] == "extra_forbidden"), wrong[0])
     if not first["loc"] or "error" in first.get("ctx", {}):
         return as_input_error(error, where)
     # beyond four parts pydantic names the kinds of a value that it tried

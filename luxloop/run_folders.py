@@ -17,8 +17,8 @@ def runs_in(runs: Path) -> list[Path]:
         found = [path for path in runs.iterdir() if any(path.glob(PATTERN))]
     except FileNotFoundError:
         return []
-    except OSError as error:
-        raise LuxloopError(f"{runs}: {error.strerror}") from error
+    except (OSError, ValueError) as error:  # ValueError: a name that no folder can have
+        raise LuxloopError(f"{runs}: {getattr(error, 'strerror', None) or error}") from error
     return sorted(found, key=lambda path: path.stat().st_mtime)
 
 

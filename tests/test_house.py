@@ -91,6 +91,30 @@ def test_the_blind_truth_may_import_no_other_module_of_validation() -> None:
     assert set(PACKAGES) - {"validation"} <= set(contract["forbidden_modules"])
 
 
+WRITTEN_OTHERWISE = {
+    "containers/effect_files.py": "what an attempt found, renamed when it is whole",
+    "validation/dataset/images.py": "an image of a data set; its manifest comes last",
+    "validation/dataset/simulated_curves.py": "a table of a data set; its manifest comes last",
+    "validation/dataset/simulate.py": "the truth beside a data set; its manifest comes last",
+    "validation/blind_test/scenes.py": "in a folder that is renamed when it is whole",
+    "validation/blind_test/further.py": "in a folder that is renamed when it is whole",
+}
+
+
+def test_what_a_user_gets_is_written_whole() -> None:
+    """Pictures and texts go to what `luxloop.files.whole` gives, which is called fresh; with reasons why not."""
+    writes = {"savefig", "imwrite", "write_text", "write_bytes", "savez_compressed"}
+    found = set()
+    for path in [path for package in PACKAGES for path in modules(package)]:
+        for node in ast.walk(ast.parse(path.read_text())):
+            if not (isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr in writes):
+                continue
+            names = {ast.unparse(one) for one in (node.func.value, *node.args[:1])}
+            if names.isdisjoint({"fresh", "opened", "memory"}):
+                found.add(path.relative_to(ROOT).as_posix())
+    assert found == set(WRITTEN_OTHERWISE)
+
+
 def test_docker_is_no_package() -> None:
     """An `__init__.py` there would hide an installed docker SDK."""
     assert not (ROOT / "docker" / "__init__.py").exists()

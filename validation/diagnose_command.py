@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from luxloop.errors import InputError
+from luxloop.files import read_text, whole
 from luxloop.settings import load_settings
 from validation.calibrate_command import LastHistories, ModelFile, Twin, bar, paths_of
 from validation.compare_command import (
@@ -217,9 +218,8 @@ def keep(subject: Subject, document: dict[str, Any]) -> None:
         return
     small = {name: document[name] for name in ("verdict", "sentence", "set", "model_sha256", "dataset_sha256")}
     file.parent.mkdir(parents=True, exist_ok=True)
-    temporary = file.with_suffix(".tmp")
-    temporary.write_text(json.dumps(small), encoding="utf-8")
-    temporary.replace(file)
+    with whole(file) as fresh:
+        fresh.write_text(json.dumps(small), encoding="utf-8")
 
 
 def last_file(model: str) -> Path | None:
@@ -227,6 +227,17 @@ def last_file(model: str) -> Path | None:
     from luxloop.model_file import SHIPPED
 
     return None if model in SHIPPED else Path(model).parent / ".luxloop" / f"{Path(model).stem}-{LAST}"
+
+
+def _verdict(file: Path) -> dict[str, Any]:
+    """What `keep` wrote into a file; InputError where it is not that."""
+    text = read_text(file, "EFFECT", "a diagnosis before", "luxloop diagnose comes first")
+    try:
+        last = json.loads(text)
+        return {name: last[name] for name in ("verdict", "set", "model_sha256")}
+    except (KeyError, TypeError, ValueError, RecursionError) as error:
+        mend = "run luxloop diagnose again, or name the effects"
+        raise InputError("EFFECT", str(file), "what luxloop diagnose wrote there", mend) from error
 
 
 def rivals_of(model: str) -> list[str]:
@@ -241,7 +252,7 @@ def rivals_of(model: str) -> list[str]:
         raise InputError(
             "EFFECT", "none", "two effects by name, or a diagnosis before", "luxloop diagnose comes first"
         )
-    last = json.loads(file.read_text(encoding="utf-8"))
+    last = _verdict(file)
     if last["model_sha256"] != find_model(model).sha256:
         mend = "run luxloop diagnose again, or name the effects"
         raise InputError("EFFECT", "none", f"a diagnosis of this model, not of {last['model_sha256'][:12]}", mend)

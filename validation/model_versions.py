@@ -21,11 +21,14 @@ from pathlib import Path
 from pydantic import Field, ValidationError
 
 from luxloop.errors import InputError
+from luxloop.files import read_text as read_file
 from luxloop.model import Model
 from luxloop.model_file import parse_toml, read_text, to_toml
 from luxloop.words import Words
 
 BY_HAND = "edited by hand"
+MOST_BYTES = 64 << 20
+"""Of the list of versions, a few hundred bytes each."""
 
 
 class Version(Words):
@@ -94,7 +97,7 @@ def _write_atomically(path: Path, text: str) -> None:
 
     Under the lock the temporary file has one name, so what a kill leaves behind is written over by the next save.
     """
-    path = path.resolve()  # a link stays a link
+    path = Path(os.path.realpath(path))  # a link stays a link; `resolve` would stop at links in a ring
     temporary = path.with_name(f".{path.name}.tmp")
     with temporary.open("w", encoding="utf-8", newline="") as file:
         file.write(text)
@@ -138,7 +141,8 @@ def _all(path: Path) -> list[Version]:
     if not log.exists():
         return []
     found = []
-    for number, line in enumerate(log.read_text(encoding="utf-8").splitlines(), 1):
+    text = read_file(log, str(log), "the versions that luxloop keeps", most_bytes=MOST_BYTES)
+    for number, line in enumerate(text.splitlines(), 1):
         try:
             found.append(Version.model_validate_json(line))
         except ValidationError:

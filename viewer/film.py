@@ -8,6 +8,7 @@ from typing import Any
 from matplotlib import colormaps, rc_context
 from matplotlib.figure import Figure
 
+from luxloop.files import whole
 from viewer.look import PLAIN
 
 QUANTITIES = {"R": "reflectance R", "T": "transmittance T", "psi": "psi (deg)", "delta": "delta (deg)"}
@@ -15,8 +16,8 @@ QUANTITIES = {"R": "reflectance R", "T": "transmittance T", "psi": "psi (deg)", 
 
 def draw(document: dict[str, Any], path: Path) -> None:
     """Draw the result document of `luxloop film` into a file of the kind its ending names (PNG, PDF, SVG)."""
-    with rc_context(PLAIN):
-        _figure(document).savefig(path, dpi=130)
+    with rc_context(PLAIN), whole(path) as fresh:
+        _figure(document).savefig(fresh, dpi=130)
 
 
 def _figure(document: dict[str, Any]) -> Figure:

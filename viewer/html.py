@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
 from typing import Any
+
+from luxloop.files import whole
 
 Row = Sequence[str]
 NOTHING = "-"
@@ -62,13 +63,8 @@ def page(title: str, body: Sequence[str]) -> str:
 
 def write(path: Path, text: str) -> None:
     """Write a page whole or not at all: what lay there before stays until the new one is complete."""
-    path = path.resolve()  # a link stays one
-    fresh = path.with_name(f".page-{os.getpid()}")
-    try:
+    with whole(path) as fresh:
         fresh.write_text(text, encoding="utf-8", newline="\n")
-        fresh.replace(path)
-    finally:
-        fresh.unlink(missing_ok=True)
 
 
 def heading(text: str) -> str:

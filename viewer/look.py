@@ -17,6 +17,8 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 from PIL import Image
 
+from luxloop.files import whole
+
 INK, BLUE, ORANGE, GREEN, GREY = "#1d2430", "#0b62a8", "#d9730d", "#2f8f5b", "#8a94a3"
 COLOURS = (INK, BLUE, ORANGE, GREEN, "#8c4fb8", "#c2334d", "#8a6d1f", "#3aa6a6")
 """Of several curves, told apart on light and on dark paper."""
@@ -70,9 +72,9 @@ PNG = re.compile(rb'base64,([^"]*)"')
 
 def svg(figure: Figure) -> bytes:
     """The picture for a page: no date, no random names, no background, and colours for dark paper."""
-    file = BytesIO()
-    figure.savefig(file, format="svg", dpi=DPI, facecolor="none", metadata={"Date": None, "Creator": None})
-    drawn = COORDINATES.sub(lambda found: DECIMALS.sub(rb"\1", found[0]), file.getvalue())
+    memory = BytesIO()
+    figure.savefig(memory, format="svg", dpi=DPI, facecolor="none", metadata={"Date": None, "Creator": None})
+    drawn = COORDINATES.sub(lambda found: DECIMALS.sub(rb"\1", found[0]), memory.getvalue())
     drawn = FONTS.sub(b"font-family: 'DejaVu Sans', Verdana, sans-serif", drawn)
     drawn = PNG.sub(lambda found: b"base64," + b64encode(_few_colours(b64decode(found[1]))) + b'"', drawn)
     return drawn.replace(b"</style>", _dark().encode() + b"</style>", 1)
@@ -81,8 +83,8 @@ def svg(figure: Figure) -> bytes:
 def save(figure: Figure, path: Path) -> None:
     """Write the picture on white, as PNG, SVG or PDF by the name's ending; the same document gives the same bytes."""
     undated = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}.get(path.suffix.lower())
-    with rc_context(LOOK):
-        figure.savefig(path, dpi=130, facecolor="white", metadata=undated)
+    with rc_context(LOOK), whole(path) as fresh:
+        figure.savefig(fresh, dpi=130, facecolor="white", metadata=undated)
 
 
 def _dark() -> str:

@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from luxloop.files import whole
 from viewer.look import PLAIN
 
 ENDS = {
@@ -26,14 +27,14 @@ ENDS = {
 
 def draw(document: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]], path: Path) -> None:
     """Draw the result document of `luxloop simulate` and its arrays into a file of the kind its ending names."""
-    with rc_context(PLAIN):
+    with rc_context(PLAIN), whole(path) as fresh:
         figure = Figure(figsize=(11.0, 5.6), layout="constrained")
         grid = figure.add_gridspec(2, 2, width_ratios=(1.15, 1.0), height_ratios=(1.4, 1.0))
         _map(figure, figure.add_subplot(grid[:, 0]), document, arrays)
         _cut(figure.add_subplot(grid[0, 1]), document, arrays)
         _ledger(figure.add_subplot(grid[1, 1]), document)
         figure.suptitle(_title(document), fontsize=10, x=0.01, ha="left")
-        figure.savefig(path, dpi=130)
+        figure.savefig(fresh, dpi=130)
 
 
 def _map(figure: Figure, axes: Axes, document: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> None:

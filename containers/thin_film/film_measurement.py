@@ -26,6 +26,7 @@ from containers.stack import StackRows, resolve
 from containers.thin_film.ellipsometry import ncs_of_light, psi_delta_deg
 from containers.thin_film.incoherent import Light, flipped, respond
 from luxloop.errors import InputError
+from luxloop.film import GRAZING_DEG
 from luxloop.stack import Stack
 
 Real = NDArray[np.float64]
@@ -193,7 +194,7 @@ def rows_function(stack: Stack | RowsAt) -> RowsAt:
 
 def _angles_deg(value: ArrayLike) -> Real:
     mend = "the angle in the medium of incidence, in degrees"
-    angles = np.atleast_1d(within("aoi_deg", value, 0.0, 90.0, mend, below=True))
+    angles = np.atleast_1d(within("aoi_deg", value, 0.0, GRAZING_DEG, mend, below=True))
     if angles.ndim != 1 or not angles.size:
         raise InputError("aoi_deg", f"shape {angles.shape}", "one number or a list of numbers", mend)
     return angles

@@ -153,7 +153,7 @@ class RunJournal:
             raise InputError(name, sorted(files), allowed, "is it a campaign?")
         try:
             plain = json.loads(files[name])
-        except ValueError as error:
+        except (ValueError, RecursionError) as error:
             raise InputError(name, files[name][:40], "JSON", f"luxloop audit verify {self.folder}") from error
         return parse(model, plain, name)
 

@@ -154,7 +154,7 @@ class Record(Link):
             return read_image(self.data) if kind == IMAGE else read_log(self.data)
         try:
             plain = restore(json.loads(self.data), flat_schema(kind))
-        except (ValueError, KeyError, TypeError, AttributeError) as error:
+        except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
             raise InputError(self.topic, self.data[:60], f"JSON of a {kind.__name__}") from error
         return parse(kind, plain, self.topic)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import random
 import threading
 import time
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -290,16 +291,21 @@ def test_a_plan_says_what_the_controller_must_know() -> None:
         ("[learning]\nrestart = 'start'", "learning.restart"),
         ("[learning]\nreplay = 16", "learning.batch"),
         ("bounds = 'none'", "bounds"),
-        ("lanes = ", "--config"),
+        ("lanes = ", "campaign.toml: line 1"),
+        (f"lanes = {'7' * 5000}", "campaign.toml: line 1"),
+        (f"lanes = 0x{'f' * 5000}", "campaign.toml: line 1"),
+        (f"lanes = 0x{'f' * 1000}", "campaign.toml: lanes"),
+        ("lanes = 2 # \ud800", "campaign.toml"),
     ],
 )
 def test_settings_that_cannot_be_meant_are_refused(text: str, field: str, tmp_path: Any) -> None:
     """By file, field, value and range."""
     path = tmp_path / "campaign.toml"
-    path.write_text(text)
+    path.write_text(text, errors="surrogatepass")
     with pytest.raises(InputError) as caught:
         read_campaign(path)
     assert field in caught.value.field
+    assert len(str(caught.value)) < 1000
 
 
 def test_all_that_is_wrong_is_named(tmp_path: Any) -> None:
@@ -360,6 +366,37 @@ def test_the_command_refuses_it_before_a_set_is_started(tmp_path: Path, monkeypa
     path.write_text("[learning]\ngamma = 0.6")
     with pytest.raises(InputError, match="--config: learning"):
         designers_command.compare(config=path)
+
+
+@pytest.mark.parametrize(
+    ("text", "option", "evaluations"), [("", None, 100), ("[stop]\nevaluations = 9", None, 9), ("", 11, 11)]
+)
+def test_a_comparison_tells_what_of_its_file_is_not_used(
+    text: str,
+    option: int | None,
+    evaluations: int,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Designer and seed; the budget of the file counts where no option says otherwise."""
+
+    class BegunError(Exception):
+        """The first run was begun."""
+
+    def begun(_: object, campaign: Campaign, *more: object, **options: object) -> None:
+        assert (campaign.designer, campaign.seed, campaign.stop.evaluations) == ("random", 1, evaluations)
+        raise BegunError
+
+    monkeypatch.setattr("agent.launch.running_set", lambda *_, **__: nullcontext())
+    monkeypatch.setattr("agent.launch.launch", begun)
+    path = tmp_path / "campaign.toml"
+    path.write_text(f"designer = 'pattern'\nseed = 7\n{text}")
+    with pytest.raises(BegunError):
+        designers_command.compare(designers="random", config=path, evaluations=option)
+    told = capsys.readouterr().err
+    assert "designer = 'pattern' is not used: --designers" in told
+    assert "seed = 7 is not used: each designer runs with the seeds 1 to --seeds" in told
 
 
 def test_bounds_without_a_feasible_design_are_refused() -> None:

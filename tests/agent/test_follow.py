@@ -29,6 +29,7 @@ from luxloop.settings import Settings, as_environment
 from tests.agent.test_live import shown
 from tests.campaign_runs import START, RunOnDisk, whole_run
 from tests.conftest import wait_for
+from tests.env_controller.test_compact import interrupted, three_starts
 from tests.local_bus import LocalBus, LocalRouter
 
 app = typer.Typer()
@@ -130,6 +131,15 @@ def test_a_killed_writer_ends_it_and_a_new_start_goes_on_with_it(tmp_path: Path)
     second.close()
     assert [entry.value.uniformity for entry in told] == [0.7, 0.8]
     assert list(source) == []
+
+
+def test_what_an_interrupted_compaction_left_is_told_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The segments that the first one holds too are no news."""
+    folder = tmp_path / "trial"
+    three_starts(folder)
+    records = list(RunJournal(folder).records("/step", "/agent", "/log"))
+    interrupted(folder, monkeypatch)
+    assert list(from_journal(folder)) == records
 
 
 def test_what_is_followed_is_told_from_the_next_step_on(tmp_path: Path) -> None:

@@ -230,9 +230,10 @@ def test_every_file_is_written_and_reads_back(simulated: Run, tmp_path: Path) ->
 
 
 def test_a_finite_module_has_its_own_files(simulated: Run, tmp_path: Path) -> None:
-    """Two chips in a row: the far field of both, the module's size in metres."""
-    path = tmp_path / "a.ies"
-    document = simulated(preset="S_b3", pairs=0.0, array="1x2", ies=path)
+    """Two chips in a row: the far field of both, the module's size in metres; a model with a name beyond ASCII."""
+    path, model = tmp_path / "a.ies", tmp_path / "modèle.toml"
+    model.write_text(to_toml(find_model("paper")), encoding="utf-8")
+    document = simulated(preset="S_b3", pairs=0.0, array="1x2", ies=path, model=str(model))
     assert (document["array"]["rows"], document["array"]["columns"]) == (1, 2)
     web = read_ies(path.read_bytes().decode("ascii"))
     assert (web.width_m, web.length_m) == pytest.approx((500e-6, 1000e-6))

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from containers.typed import (
-    MOST_NUMBERS,
+    MAX_PLACES,
     angles_deg,
     bandwidth_nm,
     check_file,
@@ -62,7 +62,7 @@ def test_any_text_gives_finite_numbers_or_an_input_error(text: str) -> None:
         found = numbers("--angles", text)
     except InputError:
         return
-    assert 1 <= len(found) <= MOST_NUMBERS + 1
+    assert 1 <= len(found) <= MAX_PLACES + 1
     assert all(abs(value) < float("inf") for value in found)
 
 

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from luxloop.endpoint import host_and_port, listening, refuse_taken
+from env_controller.taken import refuse_taken
+from luxloop.endpoint import host_and_port, listening
 from luxloop.errors import InputError, LuxloopError
 from luxloop.settings import Settings, as_environment, load_settings, usable_cache
 

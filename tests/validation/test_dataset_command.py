@@ -275,6 +275,30 @@ def test_an_open_quotation_mark_is_named(raw: Path, tmp_path: Path) -> None:
     assert "not closed" in refused.mend
 
 
+@pytest.mark.parametrize(("name", "value"), [("bit-depth", "1" + "0" * 400), ("gain-dn-per-e", "0")])
+def test_import_refuses_a_camera_that_there_is_not(raw: Path, tmp_path: Path, name: str, value: str) -> None:
+    """Before its full well is computed: that ended in a traceback."""
+    camera = list(CAMERA)
+    camera[camera.index(f"--{name}") + 1] = value
+    said = ("--layout", "single", "--spacing-um", "400", "--exposure-ms", "4", *DESIGN)
+    error = refusal("import", raw, "--into", tmp_path / "data", *camera, *said)
+    assert error.field == f"import: camera: {name.replace('-', '_')}"
+    assert not (tmp_path / "data").exists()
+
+
+def test_links_in_a_ring_are_told(raw: Path, tmp_path: Path) -> None:
+    """As a table, as a picture, as a file of a data set."""
+    ring = tmp_path / "ring.csv"
+    ring.symlink_to(ring)
+    assert refusal("import", raw, "--into", tmp_path / "data", "--table", ring, *CAMERA).field == "--table"
+    (raw / "ring.tif").symlink_to("ring.tif")
+    folder = write_dataset(tmp_path / "set")
+    (folder / "images" / "single.tif").unlink()
+    (folder / "images" / "single.tif").symlink_to("single.tif")
+    assert refusal("show", folder).mend == "its name is spelt otherwise?"
+    assert told("check", folder, code=2)["errors"] > 0
+
+
 def test_import_never_writes_over_anything(raw: Path, tmp_path: Path) -> None:
     """A folder with something in it, a table that is there, a sample of two designs."""
     (tmp_path / "full").mkdir()

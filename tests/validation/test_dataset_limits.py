@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from luxloop.errors import InputError
-from luxloop.film import FilmMeasurementRequest
+from luxloop.film import GRAZING_DEG, MAX_PLACES, MAX_VALUES, FilmMeasurementRequest
 from luxloop.model import Model
 from tests.validation.datasets import FAR_FIELD, MANIFEST, SPECTRUM, edit, put, write_dataset
 from validation.dataset import spectra as tables
@@ -125,7 +125,8 @@ def test_the_limits_of_tables_are_those_of_a_request() -> None:
             return False
         return True
 
-    most, grid = tables.MAX_PLACES, tables.MAX_GRID
+    most, grid = MAX_PLACES, MAX_VALUES
+    assert (tables.MAX_PLACES, tables.MAX_VALUES, tables.LIMITS["aoi_deg"][1]) == (most, grid, GRAZING_DEG)
     assert taken(most, grid // most)
     assert taken(grid // most, most)
     assert not taken(most + 1, 1)
@@ -202,20 +203,21 @@ def test_an_image_smaller_than_a_bin_is_refused(folder: Path) -> None:
 
 
 ENDLESS = {
-    "digits": ("9" * 5000, "a number too long"),
-    "hex digits": ("0x" + "f" * 5000, "a number too long"),
-    "brackets": ("[" * 3000 + "]" * 3000, "nested too deeply"),
+    "digits": "9" * 5000,
+    "hex digits": "0x" + "f" * 5000,
+    "brackets": "[" * 3000 + "]" * 3000,
 }
 
 
 @pytest.mark.parametrize("case", ENDLESS)
 def test_a_value_without_end_is_told(tmp_path: Path, case: str) -> None:
-    """Of a data set, and of a plan to simulate one."""
-    value, mend = ENDLESS[case]
-    manifest, (fault,) = manifest_and_faults(MANIFEST.replace("bit_depth = 12", f"bit_depth = {value}").encode())
-    assert (manifest, fault.field, fault.mend) == (None, "dataset.toml", mend)
-    (tmp_path / "plan.toml").write_text(f"name = {value}\n")
-    with pytest.raises(InputError, match=mend):
+    """Of a data set, and of a plan to simulate one: file, line, what a line may hold."""
+    text, mend = MANIFEST.replace("bit_depth = 12", f"bit_depth = {ENDLESS[case]}"), "at most 4,300 digits; brackets"
+    manifest, (fault,) = manifest_and_faults(text.encode())
+    assert (manifest, fault.field) == (None, f"dataset.toml: line {text.split('bit_depth')[0].count(chr(10)) + 1}")
+    assert mend in fault.mend
+    (tmp_path / "plan.toml").write_text(f"name = {ENDLESS[case]}\n")
+    with pytest.raises(InputError, match=rf"plan\.toml: line 1: got 'name = .*{mend}"):
         read_plan(tmp_path / "plan.toml")
 
 

@@ -163,6 +163,15 @@ def test_a_spoilt_list_of_versions_is_named_by_line(tmp_path: Path) -> None:
     assert read_model(path).name == "a"
 
 
+def test_a_list_of_versions_that_is_no_text_is_told(tmp_path: Path) -> None:
+    """As any file that cannot be read."""
+    path = tmp_path / "model.toml"
+    save(path, Model(name="a"), "model new")
+    (tmp_path / ".luxloop" / "models" / "versions.jsonl").write_bytes(b"\xb5")
+    with pytest.raises(InputError, match=r"versions\.jsonl: .*UTF-8 text"):
+        versions(path)
+
+
 def test_a_text_that_a_kill_left_without_a_line_is_never_written_over(tmp_path: Path) -> None:
     """The next number counts files as well as lines."""
     path = tmp_path / "model.toml"

@@ -256,7 +256,7 @@ def test_a_plan_of_films_alone_is_enough_for_spectra(run: Run, tmp_path: Path) -
 @pytest.mark.parametrize(
     ("text", "field"),
     [
-        ("name = 1,5", "--plan"),
+        ("name = 1,5", "wrong.toml: line 1"),
         ("name = 'empty'\nsamples = []", "wrong.toml: samples"),
         (PLAN.replace("180.0", "20.0"), "wrong.toml: samples.0.distance_um"),
         (PLAN.replace('"four"', '"one"'), "wrong.toml: samples"),

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from matplotlib.figure import Figure
 
 from viewer.film import draw
 
@@ -57,7 +58,12 @@ def test_a_coating_fills_the_picture(
 ) -> None:
     """A few per cent are not drawn as a flat line at the bottom, and in any order of the axis all of it is seen."""
     seen: dict[str, Any] = {}
-    monkeypatch.setattr("viewer.film.Figure.savefig", lambda figure, *_, **__: seen.update(axes=figure.axes[0]))
+
+    def save(figure: Figure, path: Path, **_: Any) -> None:
+        seen.update(axes=figure.axes[0])
+        path.touch()
+
+    monkeypatch.setattr("viewer.film.Figure.savefig", save)
     draw(document([60.0, 0.0, 30.0], curve), tmp_path / "x.png")
     assert seen["axes"].get_xlim() == (0.0, 60.0)
     assert seen["axes"].get_ylim() == pytest.approx((0.0, top))

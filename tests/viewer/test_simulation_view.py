@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from viewer.simulation import draw
 
@@ -68,7 +69,12 @@ def test_a_picture_is_of_the_kind_its_name_says(tmp_path: Path, ending: str, arr
 def test_the_map_lies_as_the_light_does(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, level: float) -> None:
     """Row 0 at the lowest y, a colour bar in lx; the cut with its window, the ledger with all ends; dark too."""
     seen: dict[str, Any] = {}
-    monkeypatch.setattr("viewer.simulation.Figure.savefig", lambda figure, *_, **__: seen.update(axes=figure.axes))
+
+    def save(figure: Figure, path: Path, **_: Any) -> None:
+        seen.update(axes=figure.axes)
+        path.touch()
+
+    monkeypatch.setattr("viewer.simulation.Figure.savefig", save)
     draw(document(), arrays(level), tmp_path / "x.png")
     by_label = {axes.get_xlabel() or axes.get_ylabel(): axes for axes in seen["axes"]}
     (image,) = by_label["x (µm)"].get_images()

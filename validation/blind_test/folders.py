@@ -95,7 +95,7 @@ def read_json(path: Path, field: str, allowed: str, mend: str) -> dict[str, Any]
         data = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise InputError(field, f"{name} is not there", allowed, mend) from None
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise InputError(field, f"{name}: {error}", allowed, mend) from None
     if not isinstance(data, dict):
         raise InputError(field, f"{name} is no JSON object", allowed, mend)

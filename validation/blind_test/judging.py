@@ -201,6 +201,6 @@ def residuals_of(found: Diagnosis) -> dict[str, NDArray[np.float16]]:
 
 def packed(arrays: dict[str, NDArray[np.float16]]) -> bytes:
     """Arrays as the bytes of an .npz file."""
-    file = io.BytesIO()
-    np.savez_compressed(file, allow_pickle=False, **arrays)
-    return file.getvalue()
+    memory = io.BytesIO()
+    np.savez_compressed(memory, allow_pickle=False, **arrays)
+    return memory.getvalue()

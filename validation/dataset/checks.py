@@ -9,7 +9,7 @@ from importlib.metadata import entry_points
 from itertools import product
 from pathlib import Path
 
-from luxloop.errors import InputError
+from luxloop.errors import InputError, shortened, shown
 from validation.dataset.folder import (
     SUMS,
     changed,
@@ -153,8 +153,7 @@ def _of_sums(folder: Path, named: set[str]) -> Iterator[Finding]:
 def _finding(error: InputError, level: Level = "error") -> Finding:
     """A fault whose field is "FILE: where" as a finding."""
     file, separator, field = error.field.partition(": ")
-    value = error.value if isinstance(error.value, str) else repr(error.value)
-    value = value if len(value) <= 200 else f"{value[:197]}..."
+    value = shortened(error.value, 200) if isinstance(error.value, str) else shown(error.value, 200)
     return Finding(level, file, field if separator else "(whole)", value, error.allowed, error.mend)
 
 

@@ -7,11 +7,13 @@ files larger than 256 MB.
 from __future__ import annotations
 
 import hashlib
+import os
 import re
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 from luxloop.errors import InputError
+from luxloop.files import whole
 from luxloop.words import sha256_of
 from validation.dataset.manifest import Manifest
 from validation.dataset.manifest_file import MANIFEST, parse_manifest
@@ -88,7 +90,8 @@ def confined(folder: Path, name: str, field: str) -> Path:
     parts = PurePosixPath(name).parts
     if name.startswith("/") or ".." in parts or "\\" in name or "\0" in name or re.match(r"[A-Za-z]:", name):
         raise InputError(field, name, "a path inside the folder, with /", "copy the file into the folder")
-    root, path = folder.resolve(), (folder / name).resolve()
+    # `resolve` would stop at links in a ring
+    root, path = (Path(os.path.realpath(one)) for one in (folder, folder / name))
     if not path.is_relative_to(root):
         raise InputError(field, name, "a path inside the folder", "a link leads out of it: copy the file instead")
     if not path.is_file():
@@ -137,7 +140,8 @@ def write_sums(folder: Path) -> Path:
     `sha256sum --check SHA256SUMS` in the folder verifies it without luxloop.
     """
     lines = [f"{sha256_of_file(path)}  {name}\n" for name, path in sorted(files_of(folder).items())]
-    (folder / SUMS).write_text("".join(lines), encoding="utf-8")
+    with whole(folder / SUMS) as fresh:
+        fresh.write_text("".join(lines), encoding="utf-8")
     return folder / SUMS
 
 
@@ -147,7 +151,7 @@ def files_of(folder: Path) -> dict[str, Path]:
     for path in folder.rglob("*"):
         name = path.relative_to(folder).as_posix()
         hidden = any(part.startswith(".") for part in PurePosixPath(name).parts)
-        inside = path.resolve().is_relative_to(folder.resolve())
+        inside = Path(os.path.realpath(path)).is_relative_to(os.path.realpath(folder))
         if path.is_file() and inside and not hidden and name != SUMS:
             found[name] = path
     return found

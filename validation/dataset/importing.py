@@ -6,6 +6,7 @@ written with it, and a comment `check this` behind.
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
 import tempfile
@@ -17,11 +18,12 @@ from typing import Any, Literal
 import numpy as np
 
 from luxloop.errors import InputError
+from luxloop.files import whole
 from luxloop.words import parse
 from validation.dataset.folder import MAX_FILE_BYTES, write_sums
 from validation.dataset.foreign import is_image, read_foreign
 from validation.dataset.images import IMAGE_TYPES, MASK_TYPES, Pixels, write_tiff
-from validation.dataset.manifest import Manifest
+from validation.dataset.manifest import CameraFacts, Manifest
 from validation.dataset.manifest_file import MANIFEST, to_toml
 from validation.dataset.sheet import DESIGN, FILES, SAMPLE, Row, Value
 
@@ -58,12 +60,12 @@ def image_files(folder: Path, but: Iterable[Path] = ()) -> list[str]:
     """The image files in a folder and those below it, by their path in it, without those `but`, and hidden ones."""
     if not folder.is_dir():
         raise InputError("FOLDER", str(folder), "a folder of image files")
-    others = {path.resolve() for path in but}
+    others = {os.path.realpath(path) for path in but}  # `resolve` would stop at links in a ring
     found = []
     for path in sorted(folder.rglob("*")):
         name = path.relative_to(folder)
         hidden = any(part.startswith(".") for part in name.parts)
-        if path.is_file() and is_image(path) and not hidden and path.resolve() not in others:
+        if path.is_file() and is_image(path) and not hidden and os.path.realpath(path) not in others:
             found.append(name.as_posix())
     return found
 
@@ -147,7 +149,8 @@ def _written(order: Order, folder: Path) -> Manifest:
     unique = list({sample["id"]: sample for sample in samples}.values())
     data = {"name": order.name, "licence": order.licence, "notes": notes, "camera": camera}
     manifest = parse(Manifest, {**data, "samples": unique, "shots": shots}, "import")
-    (folder / MANIFEST).write_text(to_toml(manifest, order.remarks), encoding="utf-8")
+    with whole(folder / MANIFEST) as fresh:
+        fresh.write_text(to_toml(manifest, order.remarks), encoding="utf-8")
     return manifest
 
 
@@ -157,6 +160,7 @@ def _camera(order: Order) -> dict[str, Any]:
     if "black_level_dn" not in camera:
         camera["black_level_dn"] = _black_level(order)
         order.remarks["camera.black_level_dn"] = f"{CHECK}: read from the dark, or the darkest 0.1 % of an image"
+    parse(CameraFacts, {"full_well_e": 1.0} | camera, "import: camera")  # before anything is computed with it
     if "full_well_e" not in camera:
         range_dn = 2.0 ** camera["bit_depth"] - 1.0 - camera["black_level_dn"]
         camera["full_well_e"] = range_dn / camera["gain_dn_per_e"]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import tomllib
 import typing
 from collections.abc import Mapping
 from typing import Any
@@ -12,7 +11,8 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 
 from luxloop.effect import did_you_mean
-from luxloop.errors import InputError
+from luxloop.errors import InputError, shortened
+from luxloop.files import text_of, toml_of
 from luxloop.model_file import range_of
 from luxloop.units import unit_of
 from validation.dataset.manifest import SCHEMA, Manifest, contradictions
@@ -52,40 +52,12 @@ def _toml_of(raw: bytes) -> dict[str, Any]:
     """The data of the file, its schema checked and taken away."""
     if raw.startswith(b"\xef\xbb\xbf"):
         raise InputError(MANIFEST, "a byte order mark at its start", "UTF-8 without one", "save it as UTF-8, no BOM")
-    try:
-        text = raw.decode()
-    except UnicodeDecodeError as error:
-        raise InputError(MANIFEST, raw[error.start : error.start + 8], "UTF-8 text", "save it as UTF-8") from None
-    try:
-        data = loads(text)
-    except tomllib.TOMLDecodeError as error:
-        number = int(found[1]) if (found := re.search(r"line (\d+)", str(error))) else text.count("\n") + 1
-        line = [*text.split("\n"), ""][number - 1]
-        comma = re.search(r"=\s*\d+,\d+\s*(#|$)", line)
-        mend = "write decimals with a point" if comma else str(error)
-        raise InputError(f"{MANIFEST}: line {number}", line, "TOML", mend) from None
-    except (ValueError, RecursionError) as error:
-        raise InputError(MANIFEST, str(error)[:60], "TOML", why_not(error)) from None
+    data = toml_of(text_of(raw, MANIFEST), MANIFEST)
     schema = data.pop("schema", None)
     if schema != SCHEMA:
         mend = f'begin the file with schema = "{SCHEMA}"' if schema is None else "written for another luxloop"
         raise InputError(f"{MANIFEST}: schema", schema, SCHEMA, mend)
     return data
-
-
-def loads(text: str) -> dict[str, Any]:
-    """The data of a TOML text; raises what tomllib does, and ValueError also for a hex number too long to show."""
-    data = tomllib.loads(text)
-    repr(data)
-    return data
-
-
-def why_not(error: Exception) -> str:
-    """What is wrong with a TOML file that tomllib gives up on, by what it raises."""
-    if isinstance(error, RecursionError):
-        return "nested too deeply"
-    known = isinstance(error, tomllib.TOMLDecodeError | UnicodeDecodeError | OSError)
-    return str(error) if known else "a number too long"
 
 
 def _fault(error: Any, data: dict[str, Any]) -> InputError:
@@ -122,7 +94,7 @@ def _place(loc: tuple[int | str, ...], data: Any) -> tuple[type[BaseModel], str,
         data = _inside(data, part)
         if isinstance(part, int):
             id_ = data.get("id") if isinstance(data, dict) else None
-            shown += f'["{id_}"]' if isinstance(id_, str) else f"[{part}]"
+            shown += f'["{shortened(id_, 100)}"]' if isinstance(id_, str) else f"[{part}]"
             continue
         kinds = [kind for kind in _models_of(owner, name) if _is_kind(kind, part)]
         if kinds:  # pydantic puts the chosen kind of a shot into the location; it is no field
@@ -130,7 +102,7 @@ def _place(loc: tuple[int | str, ...], data: Any) -> tuple[type[BaseModel], str,
             continue
         if at and (inner := _models_of(owner, name)) and len(inner) == 1:
             owner = inner[0]
-        shown, name = f"{shown}.{part}".lstrip("."), part
+        shown, name = f"{shown}.{shortened(part, 100)}".lstrip("."), part
     return owner, name, shown
 
 

@@ -21,6 +21,7 @@ import typer
 
 from luxloop import __version__
 from luxloop.errors import InputError
+from luxloop.files import whole
 from luxloop.model_file import find_model, to_toml
 from validation.dataset.folder import write_sums
 from validation.dataset.images import Real, write_tiff
@@ -203,7 +204,8 @@ def write_dataset(
         films=tuple(film for film in plan.films if film.id in shown),
         shots=tuple(shots),
     )
-    (folder / MANIFEST).write_text(manifest_text(manifest), encoding="utf-8")
+    with whole(folder / MANIFEST) as fresh:
+        fresh.write_text(manifest_text(manifest), encoding="utf-8")
     write_sums(folder)
     return manifest
 

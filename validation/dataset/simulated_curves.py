@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from luxloop.errors import InputError
+from luxloop.film import MAX_PLACES
 from validation.dataset.images import Real
 from validation.dataset.manifest import FarFieldShot, FilmSample, Sample, SpectrumShot
 from validation.dataset.spectra import FAR_FIELD_COLUMNS, SPECTRUM_COLUMNS, Quantity
@@ -28,7 +29,6 @@ CURVES, FAR_FIELDS = 3, 4
 """What a seed is drawn for, beside those of `validation.noise` and of poses."""
 QUANTITIES: tuple[Quantity, ...] = ("R", "T", "psi", "delta")
 ANGLES = ("psi", "delta")
-MOST_POINTS = 10_000
 THETA_DEG, PHI_DEG = tuple(range(0, 90, 5)), (0, 45, 90)
 """Where a goniometer stops."""
 
@@ -152,12 +152,12 @@ def numbers_of(field: str, text: str, low: float, high: float) -> tuple[float, .
         if ":" in text:
             first, last, step = (float(one) for one in text.split(":"))
             count = int(np.floor((last - first) / step + 1e-9)) + 1
-            found = [first + step * number for number in range(min(count, MOST_POINTS + 1))]
+            found = [first + step * number for number in range(min(count, MAX_PLACES + 1))]
         else:
             found = [float(one) for one in text.split(",")]
     except (ValueError, ZeroDivisionError, OverflowError):
         found = []
-    if not found or len(found) > MOST_POINTS or not all(low <= one <= high for one in found):
-        allowed = f"1 to {MOST_POINTS:,} numbers from {low:g} to {high:g}"
+    if not found or len(found) > MAX_PLACES or not all(low <= one <= high for one in found):
+        allowed = f"1 to {MAX_PLACES:,} numbers from {low:g} to {high:g}"
         raise InputError(field, text, allowed, "for example 400:700:2 (from, to, step), or 0,45,60")
     return tuple(dict.fromkeys(found))

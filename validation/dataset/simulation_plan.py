@@ -7,10 +7,9 @@ from pathlib import Path
 from pydantic import Field, field_validator
 
 from luxloop.effect import refuse_twice
-from luxloop.errors import InputError
+from luxloop.files import read_text, toml_of
 from luxloop.words import Words, parse
 from validation.dataset.manifest import CameraFacts, FilmLayer, FilmSample, Sample
-from validation.dataset.manifest_file import loads, why_not
 
 DECLARED = CameraFacts(
     pixel_um=8.0, bit_depth=12, gain_dn_per_e=0.38, read_noise_e=6.0, full_well_e=10_000.0, black_level_dn=64.0
@@ -69,11 +68,8 @@ def paper_plan() -> Plan:
 
 def read_plan(path: Path) -> Plan:
     """The plan in a TOML file: name, licence, [camera], [[samples]], [[films]] as in a data set; else InputError."""
-    try:
-        data = loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
-        raise InputError("--plan", str(path), "a TOML file with [[samples]], [[films]]", why_not(error)) from None
-    return parse(Plan, data, path.name)
+    text = read_text(path, "--plan", "a TOML file with [[samples]], [[films]]")
+    return parse(Plan, toml_of(text, path.name), path.name)
 
 
 def with_camera(plan: Plan, **changes: float | None) -> Plan:

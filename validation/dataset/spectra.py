@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from luxloop.errors import InputError
+from luxloop.film import GRAZING_DEG, MAX_PLACES, MAX_VALUES
 from validation.dataset.csv_lines import csv_lines
 from validation.dataset.images import Real
 from validation.dataset.manifest import FarFieldShot, SpectrumShot
@@ -28,7 +29,7 @@ SPECTRUM_COLUMNS = ("wavelength_nm", "aoi_deg", "polarisation", "value", "sigma"
 FAR_FIELD_COLUMNS = ("theta_deg", "phi_deg", "value", "sigma")
 LIMITS = {
     "wavelength_nm": (1.0, 1e6),
-    "aoi_deg": (0.0, 90.0),
+    "aoi_deg": (0.0, GRAZING_DEG),
     "theta_deg": (0.0, 90.0),
     "phi_deg": (-360.0, 360.0),
     "R": (0.0, 1.0),
@@ -41,8 +42,6 @@ BEYOND_UNITY = 0.05
 PERCENT = 1.5
 """A reflectance or transmittance with a larger value than this is taken for one in percent."""
 MAX_ROWS = 1_000_000
-MAX_PLACES, MAX_GRID = 10_000, 1_000_000
-"""What one request to a worker takes: different wavelengths, or angles; and wavelengths x angles."""
 
 Quantity = Literal["R", "T", "psi", "delta"]
 Row = Mapping[str, str]
@@ -210,8 +209,8 @@ def _too_many_places(numbers: Mapping[str, Real], polarisation: NDArray[np.str_]
         for column, places in count.items():
             if places > MAX_PLACES:
                 yield InputError(f"{name}: {column}", places, f"at most {MAX_PLACES:,} different", "thin it out")
-        if wavelengths * angles > MAX_GRID:
-            value, allowed = f"{wavelengths:,} x {angles:,}", f"wavelengths x angles up to {MAX_GRID:,}"
+        if wavelengths * angles > MAX_VALUES:
+            value, allowed = f"{wavelengths:,} x {angles:,}", f"wavelengths x angles up to {MAX_VALUES:,}"
             mend = "thin it out, or make several shots of it, each with fewer angles"
             yield InputError(f"{name}: rows", value, allowed, mend)
 

@@ -12,11 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from luxloop.errors import InputError
-from luxloop.film import FilmMeasurementRequest
+from luxloop.film import MAX_PLACES, MAX_VALUES, FilmMeasurementRequest
 from luxloop.stack import Layer, Medium, Stack
 from luxloop.words import parse, sha256_of
 from validation.dataset.manifest import FilmLayer, FilmSample
-from validation.dataset.spectra import MAX_GRID, MAX_PLACES
 from validation.prediction.differences import moved_models, stencil, step_of
 from validation.prediction.words import Curve, PredictedCurve, Real
 
@@ -128,7 +127,7 @@ def _values(wanted: Sequence[tuple[Model, Curve]], ask: Ask) -> list[Real]:
         for rows, same, request in _parts(curve, model):
             key, held = same, together.get(same, request)
             angles = tuple(sorted({*held.aoi_deg, *request.aoi_deg}))
-            if len(angles) > MAX_PLACES or len(angles) * len(held.wavelength_nm) > MAX_GRID:
+            if len(angles) > MAX_PLACES or len(angles) * len(held.wavelength_nm) > MAX_VALUES:
                 key, held, angles = f"{same} {number}", request, request.aoi_deg  # more than one request takes
             together[key] = held if angles == held.aoi_deg else held.model_copy(update={"aoi_deg": angles})
             parts.append((number, rows, key))

@@ -98,9 +98,11 @@ class Predicted:
     """(row, column) by path of the model, per that parameter's own unit, or by name of the pose's number."""
     noise_per_mm2: Real | None = None
     """(function, row, column) of an anchor: the covariance of two pixels is the sum over functions of their products.
-    The noise of views with different samples is independent."""
+    The noise of views with different samples is independent; where the anchor has `stored_exits`, of those with
+    different chips only: samples of the same chip land the same exits."""
     twin_per_mm2: Real | None = None
-    """(row, column), the twin's own image where there is an anchor: it errs, but not as the anchor's noise does."""
+    """(row, column), the twin's own image where there is an anchor: it errs, but not as the anchor's noise does,
+    unless the anchor has `stored_exits`: then it lands the twin's own."""
     by_gain_per_mm2: Real | None = None
     """(row, column), by which the signal grows with the gain, where a sensor bends it: else as the image has it."""
     by_offset: Real | None = None

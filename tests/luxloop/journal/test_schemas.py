@@ -186,7 +186,7 @@ def test_words_of_another_topic_are_refused() -> None:
         Record("/step", 0, -1, b"")
 
 
-@pytest.mark.parametrize("data", [b"", b"[]", b"{", b'{"run": 1}', b"\xff", b'{"figures": 3}'])
+@pytest.mark.parametrize("data", [b"", b"[]", b"{", b'{"run": 1}', b"\xff", b'{"figures": 3}', b"[" * 100_000])
 def test_bytes_that_are_no_record_are_refused_with_their_topic(data: bytes) -> None:
     """Not JSON, of another form, of another kind."""
     with pytest.raises(InputError, match="/step"):

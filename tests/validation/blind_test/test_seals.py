@@ -27,6 +27,13 @@ def folder(tmp_path: Path) -> Path:
     return folder_of(tmp_path / "blind", (SET, record("one_effect", "vignetting")))
 
 
+def test_an_index_that_nests_without_end_is_told(folder: Path) -> None:
+    """As any that is no JSON object."""
+    (folder / INDEX).write_text("[" * 100_000)
+    with pytest.raises(InputError, match="FOLDER: got"):
+        read_index(folder)
+
+
 def test_the_seal_is_the_hash_of_salt_and_canonical_answer(folder: Path) -> None:
     """Anyone can check it with a hash program; 32 bytes of salt, another one each time."""
     opening = json.loads((folder / ANSWERS / "set-1.json").read_text())

@@ -16,7 +16,7 @@ from luxloop.model_file import find_model, read_model, to_toml
 from luxloop.settings import Settings
 from tests.running_set import local_set
 from tests.validation.test_loop import luxloop
-from validation.diagnose_command import keep, rivals_of
+from validation.diagnose_command import keep, last_file, rivals_of
 
 PLAN = """
 name = "two samples"
@@ -134,6 +134,17 @@ def test_a_hidden_effect_is_named_added_and_taken_out_again(settings: Settings, 
         assert [effect.name for effect in read_model(tmp_path / "model.toml").effects] == ["vignetting"]
     replayed(settings, tmp_path, found["folder"], "2", "3")
     replayed(settings, tmp_path, added["folder"], "2", "3", "4")
+
+
+@pytest.mark.parametrize("text", ["{", "[]", "{}", "[" * 100_000, f'{{"set": {"7" * 5000}}}', "\xb5"])
+def test_a_spoilt_record_of_the_last_diagnosis_is_told(tmp_path: Path, text: str) -> None:
+    """With what writes it anew."""
+    file = last_file(str(tmp_path / "model.toml"))
+    assert file is not None
+    file.parent.mkdir()
+    file.write_bytes(text.encode("latin-1"))
+    with pytest.raises(InputError, match=r"run luxloop diagnose again|save it as UTF-8"):
+        rivals_of(str(tmp_path / "model.toml"))
 
 
 def test_what_a_diagnosis_told_apart_is_no_rival(tmp_path: Path) -> None:
