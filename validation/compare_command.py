@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shlex
 import sys
 from collections.abc import Iterator
@@ -153,6 +154,8 @@ def view_of(name: str, page: Path) -> Callable[..., None]:
         raise InputError("--page", str(page), f"a name that ends with {', '.join(PAGES)}", "rename it")
     if not page.parent.is_dir():
         raise InputError("--page", str(page), "a file in a folder that is there", f"make {page.parent} first")
+    if page.is_dir() or not os.access(page.parent, os.W_OK):
+        raise InputError("--page", str(page), "a file that can be written", "name another one")
     try:
         (point,) = entry_points(group="luxloop.views", name=name)
         draw: Callable[..., None] = point.load()

@@ -57,12 +57,14 @@ def test_compare_then_where_over_real_processes(settings: Settings, tmp_path: Pa
 
 def test_where_needs_data_and_compare_a_data_set(settings: Settings, tmp_path: Path) -> None:
     """Each says what is missing and what to do, before anything is started."""
+    (tmp_path / "folder.html").mkdir()
     for argv, words in (
         (("where", "--model", "paper"), "luxloop compare DATASET comes first"),
         (("where",), "model.toml"),
         (("compare", "nowhere"), "dataset"),
         (("compare", str(EXAMPLE), "--model", "no/such/model.toml"), "a folder that exists"),
         (("compare", str(EXAMPLE), "--page", "page.txt"), ".html"),
+        (("compare", str(EXAMPLE), "--page", "folder.html"), "a file that can be written"),
         (("calibrate", "--model", "paper"), "luxloop compare DATASET comes first"),
     ):
         done = luxloop(settings, tmp_path, *argv)
