@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from containers.ray_tracing.outcome import CUT_POINTS
+from containers.ray_tracing.uniformity import CUT_POINTS
 from luxloop.audit import Compared, Place
 from luxloop.campaign import Step
 from luxloop.journal.reader import RunJournal

@@ -6,6 +6,7 @@ import json
 import shutil
 import sys
 from collections.abc import Sequence
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -78,6 +79,9 @@ def film(
         raise InputError("--export", str(export), "one number of pairs", "export one DBR at a time")
     check_file("--plot", plot, PICTURES)
     check_file("--export", export, EXPORTS)
+    if table_requests and find_spec("numba") is None:  # a table's modules hold kernels; the designer's image has none
+        mend = "pip install 'luxloop[workers]'"
+        raise InputError(wanting, tables or str(export), "an installation with numba", mend)
     draw = view("film", plot) if plot is not None else None
     settings = load_settings()
     usable_cache(settings)

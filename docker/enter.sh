@@ -9,7 +9,7 @@ refuse() { # folder, its name on the host, mend
 
 if [ -n "${LUXLOOP_RUNS:-}" ] && [ ! -w "$LUXLOOP_RUNS" ]; then
   if [ "$(stat -c %u "$LUXLOOP_RUNS")" = 0 ]; then # not to be mended by containers that run as root
-    refuse "$LUXLOOP_RUNS" ./runs "on the host, chown $(id -u):$(id -g) runs"
+    refuse "$LUXLOOP_RUNS" ./runs "on the host, chown $(id -u):$(id -g) runs effects"
   fi
   refuse "$LUXLOOP_RUNS" ./runs \
     "on the host, (echo UID=\$(id -u); echo GID=\$(id -g)) >>.env says who you are; or give the folder to $(id -u)"

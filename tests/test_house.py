@@ -130,6 +130,17 @@ def test_help_imports_nothing_numeric() -> None:
     assert shown.stdout.strip() == "[]"
 
 
+def test_an_auditor_needs_no_numba() -> None:
+    """Who replays a run need not trace: the designer's image, and a laptop, have no numba."""
+    code = (
+        "import sys\nfrom importlib.metadata import entry_points\n"
+        "points = [point.load() for point in entry_points(group='luxloop.auditors')]\n"
+        "print(len(points) > 3, 'numba' in sys.modules)\n"
+    )
+    shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert shown.stdout.strip() == "True False"
+
+
 def test_a_command_line_loads_what_it_can_mean() -> None:
     """A command comes alone, a group whole where its second word is no command of it; no command: all of them."""
 

@@ -19,7 +19,7 @@ from containers.ray_tracing.far_field import FarField, far_field
 from containers.ray_tracing.field import CellField, Field
 from containers.ray_tracing.light import light_of
 from containers.ray_tracing.tally import OPTICAL_EVENTS, Tally
-from containers.ray_tracing.uniformity import Metrics, Region, array_region, cell_region, metrics_of
+from containers.ray_tracing.uniformity import CUT_POINTS, Metrics, Region, array_region, cell_region, metrics_of
 from containers.scene import Array, Scene
 from luxloop.errors import InputError
 from luxloop.model import Environment
@@ -29,7 +29,6 @@ Real = NDArray[np.float64]
 Document = dict[str, Any]
 Arrays = dict[str, NDArray[Any]]
 
-CUT_POINTS = 401
 SLAB_POINTS = 1 << 16
 """Points of the map that are worked out at once, for all groups."""
 

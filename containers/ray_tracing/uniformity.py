@@ -19,6 +19,8 @@ Real = NDArray[np.float64]
 Points = tuple[tuple[float, float], ...]
 
 LINE_POINTS = 401
+CUT_POINTS = 401
+"""Of the cut line that a step leaves; here, and not with `outcome`, for an auditor has no numba to trace with."""
 AREA_POINTS = 64
 
 _EDGE, _HALF = 0.8, 0.4

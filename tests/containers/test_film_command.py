@@ -20,7 +20,7 @@ from containers.thin_film.worker import DATABASE, FilmComputation
 from luxloop.client import Answer
 from luxloop.computation import Progress
 from luxloop.effect import AppliedEffect
-from luxloop.errors import RemoteError
+from luxloop.errors import InputError, RemoteError
 from luxloop.failure import Code, Failure
 from luxloop.film import FilmTableRequest, Grid
 from luxloop.model import Environment
@@ -232,3 +232,15 @@ def test_a_person_reads_how_far_a_table_is_wrong(resolved: bool, says: str) -> N
     (line,) = (line for line in as_text(shown, None).splitlines() if says in line)
     assert len(line) < 100
     assert ("WARNING" in line) == (not resolved)
+
+
+@pytest.mark.parametrize("wanted", [{"tables": True}, {"export": Path("mirror.xml")}])
+def test_without_numba_a_table_is_refused_before_anybody_is_asked(
+    wanted: dict[str, Any], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """As in the designer's image: option and mend, no traceback after the workers have computed."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(film_command, "find_spec", lambda _: None)
+    monkeypatch.setattr(film_command, "connected", lambda *_: pytest.fail("it asked"))
+    with pytest.raises(InputError, match=r"an installation with numba; pip install 'luxloop\[workers\]'"):
+        film_command.film(pairs="5.5", angles="", wavelengths="", **wanted)
