@@ -16,15 +16,14 @@ if TYPE_CHECKING:
     from luxloop.settings import Settings
 
 LOOK_S = 0.5  # how often a bar asks; workers tell once a second
+PATIENCE_S = 300.0
+"""That a task waits for a worker of its kind: one that starts for the first time compiles its kernels."""
 STARTING = "no worker yet, one that starts for the first time compiles for a minute or two"
 
 
 @contextmanager
-def connected(settings: Settings, show: bool, patience_s: float = 30.0) -> Iterator[Client]:
-    """A client, once router and controller answer; a line on a terminal says so, for starting them takes a while.
-
-    `patience_s` is how long a task waits for a worker of its kind to appear.
-    """
+def connected(settings: Settings, show: bool) -> Iterator[Client]:
+    """A client, once router and controller answer; a line on a terminal says so, for starting them takes a while."""
     from rich.console import Console
 
     from luxloop.client import Client
@@ -32,7 +31,7 @@ def connected(settings: Settings, show: bool, patience_s: float = 30.0) -> Itera
     waiting = Console(stderr=True).status("finding the workers, or starting some") if show else nullcontext()
     with ExitStack() as held:
         with waiting:
-            client = held.enter_context(Client(settings, patience_s=patience_s))
+            client = held.enter_context(Client(settings, patience_s=PATIENCE_S))
         yield client
 
 

@@ -65,8 +65,6 @@ TARGET_ERROR_POINTS = 0.3
 RAY_HISTORIES = 1 << 18
 """Of a ray file."""
 LONGEST_S = 86_400.0
-PATIENCE_S = 300.0
-"""A worker that starts for the first time compiles its kernels."""
 FILES: dict[str, tuple[str, ...]] = {
     "--plot": PICTURES,
     "--npz": (".npz",),
@@ -161,7 +159,7 @@ def simulate(
     settings = load_settings()
     usable_cache(settings)
     show = sys.stderr.isatty() and not (as_json or quiet)
-    with connected(settings, show, PATIENCE_S) as client, named_by_option():
+    with connected(settings, show) as client, named_by_option():
         answer, film_answer = ask(client, request, film, show)
     document = document_of(chosen, model, request, answer, film_answer)
     if plot is not None and draw is not None:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Iterator
-from contextlib import nullcontext
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from containers import film_command
-from containers.asking import answers, fetched
+from containers.asking import answers, connected, fetched
 from containers.film_text import as_text
 from containers.thin_film.database import open_database
 from containers.thin_film.packing import unpack
@@ -25,6 +25,7 @@ from luxloop.failure import Code, Failure
 from luxloop.film import FilmTableRequest, Grid
 from luxloop.model import Environment
 from luxloop.model_file import find_model
+from luxloop.settings import load_settings
 
 REQUEST = FilmTableRequest(environment=Environment(), dbr_pairs=2.5, grid=Grid(wavelengths=1))
 
@@ -232,6 +233,21 @@ def test_a_person_reads_how_far_a_table_is_wrong(resolved: bool, says: str) -> N
     (line,) = (line for line in as_text(shown, None).splitlines() if says in line)
     assert len(line) < 100
     assert ("WARNING" in line) == (not resolved)
+
+
+def test_a_worker_that_compiles_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first start of all takes a minute or two: a film is as patient as a simulation."""
+    patience_s = []
+
+    @contextmanager
+    def client(_: Any, **options: Any) -> Iterator[None]:
+        patience_s.append(options["patience_s"])
+        yield None
+
+    monkeypatch.setattr("luxloop.client.Client", client)
+    with connected(load_settings(), show=False):
+        pass
+    assert patience_s == [300.0]
 
 
 @pytest.mark.parametrize("wanted", [{"tables": True}, {"export": Path("mirror.xml")}])

@@ -38,6 +38,7 @@ from validation.fit import (
     profile,
     refitted,
 )
+from validation.fit.anchored_fit import refuse_dark
 from validation.fit.descent import PROMISED
 from validation.fit.problem import wrapped_deg
 from validation.fit.start import coarse_shift_px, start_values
@@ -356,3 +357,21 @@ def test_the_start_is_at_the_pixel_that_the_image_is_at(shape):
     for row, column in ((0, 0), (1, -2), (-2, 3), (2, 0)):
         image = SimpleNamespace(signal_dn=50.0 + 900.0 * spot(row, column), used=np.ones(shape, bool))
         assert coarse_shift_px(image, spot(0, 0)) == (row, column)
+
+
+def test_an_image_of_no_light_agrees_with_nothing():
+    """A dark frame is noise about a level, as far from this model as from any other: the file is named."""
+    one, other = two_images()
+    dark = replace(one, signal_dn=20.0 + 6.0 * np.random.default_rng(4).standard_normal(one.signal_dn.shape))
+    result = fit(TRUTH, [dark, other], Spots(), free=())
+    assert not result.trusted
+    assert "single-a.tif shows hardly any light of its sample" in result.distrust[0]
+    assert fit(TRUTH, [one, other], Spots(), free=()).trusted
+
+
+def test_an_image_that_is_best_fitted_by_no_light_is_refused(found):
+    """Nothing can be said of it in percent, or of anything else; an inverted one was a division by zero."""
+    gone = np.where([name == "single-a.gain" for name in found.names], 0.0, found.values)
+    with pytest.raises(InputError, match=r"single-a\.tif: gain: got 0\.0, allowed: above 0; it does not look like"):
+        refuse_dark(replace(found, values=gone))
+    refuse_dark(found)

@@ -73,6 +73,7 @@ def fit(
     anchored_later = anchor_at is not None and bool(images)
     most = TWIN_STEPS if anchored_later else MAX_ITERATIONS
     found = unclipped(problem, start_values(problem, start or {}), most=most)
+    refuse_dark(found)
     for further in reversed(range(MAX_ANCHORS if anchored_later else 0)):
         anchor = anchor_at(found.model) if anchor_at is not None else None
         if anchor is None:
@@ -92,6 +93,14 @@ def fit(
     if quieter is None:
         return found
     return unclipped(replace(found.problem, anchor=quieter), found.values, found.iterations)
+
+
+def refuse_dark(found: Fit) -> None:
+    """InputError for the image that is fitted best by no light at all."""
+    for image in found.problem.images:
+        if found.gains[image.shot.id] <= 0.0:
+            mend = "it does not look like its sample: another image, inverted, dark and image exchanged?"
+            raise InputError(f"{image.shot.file}: gain", 0.0, "above 0", mend)
 
 
 def first_of(anchor: Anchored) -> Anchored:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from luxloop.model import Model
 from validation.fit.least_squares import WORST_CONDITION, Basis, Reduced, Step, basis
 from validation.fit.model_noise import noise_share, noise_shares
-from validation.fit.parameters import gain_of, pose_of
+from validation.fit.parameters import gain_of, pose_of, tied
 from validation.fit.problem import Evaluation, Problem
 from validation.fit.whitening import Whitening, variance_scale
 from validation.prediction import Pose
@@ -27,6 +27,8 @@ LEAST_GAP = 0.1
 """Of chi2: less to be gained is not why a fit stopped."""
 UNMENDED = "free less, or look for what the model lacks (luxloop where, luxloop diagnose)"
 MOST_HISTORIES = 10**9  # of a sample, that a request may ask for
+LEAST_LIGHT = 5.0
+"""Of a gain, in its errors: below, an image may be of no light at all."""
 WANTED_NOISE = 0.1
 """Of the camera's, by pixel: along what is smooth, as most effects are, there is more of it (decision 59)."""
 
@@ -155,6 +157,9 @@ def conclude(
     names = evaluation.problem.unknowns.names
     at_limit = tuple(name for name, held in zip(names, last.at_limit, strict=True) if held)
     gap = max(0.0, reduced.chi2 - last.chi2)
+    covariance = (
+        reduced.covariance(scale, active) if other is None else reduced.covariance_of(columns, other, scale, active)
+    )
     return Fit(
         problem=evaluation.problem,
         model=evaluation.problem.unknowns.model(evaluation.problem.model, values),
@@ -167,11 +172,7 @@ def conclude(
         residual=residual,
         carried=evaluation.carried(white, values),
         signals_dn=tuple(evaluation.signals_dn(change)),
-        covariance=(
-            reduced.covariance(scale, active)
-            if other is None
-            else reduced.covariance_of(columns, other, scale, active)
-        ),
+        covariance=covariance,
         chi2=chi2,
         freedom=freedom,
         variance_scale=scale,
@@ -182,6 +183,7 @@ def conclude(
         distrust=(
             *_reasons(evaluation.problem, reduced, active, at_limit, gap, converged, freedom),
             *_of_noise(evaluation.problem, white, share),
+            *_of_light(evaluation.problem, values, covariance),
         ),
     )
 
@@ -215,6 +217,20 @@ def _of_noise(problem: Problem, white: Whitening, share: float) -> list[str]:
         f"the Monte Carlo's own noise is {share:.2f} of the camera's, above {MOST_MODEL_NOISE:g}: about"
         f" {needed:,} histories for each sample would do"
     ]
+
+
+def _of_light(problem: Problem, values: Real, covariance: Real) -> list[str]:
+    """Images that hardly show the light they are to be compared with: noise would agree with any model."""
+    by_name, names, reasons = problem.unknowns.named(values), problem.unknowns.names, []
+    for image in problem.images:
+        name = "gain" if tied(image) else f"{image.shot.id}.gain"
+        error = float(np.sqrt(covariance[names.index(name), names.index(name)]))
+        if by_name[name] < LEAST_LIGHT * error < np.inf:
+            value = f"its gain is {by_name[name]:.3g} +- {error:.2g}"
+            reasons.append(
+                f"{image.shot.file} shows hardly any light of its sample ({value}): a dark, or an image of another sample"
+            )
+    return reasons
 
 
 def _reasons(
