@@ -228,7 +228,7 @@ def _of_light(problem: Problem, values: Real, covariance: Real) -> list[str]:
         if by_name[name] < LEAST_LIGHT * error < np.inf:
             value = f"its gain is {by_name[name]:.3g} +- {error:.2g}"
             reasons.append(
-                f"{image.shot.file} shows hardly any light of its sample ({value}): a dark, or an image of another sample"
+                f"{image.shot.file} shows hardly any light of its sample: {value}; is it a dark, or of another one"
             )
     return reasons
 
