@@ -201,6 +201,17 @@ def test_an_evenly_lit_box_stays_even() -> None:
     assert field.mean * field.per_m2 * 1.5e-6 == pytest.approx(5.0 * 40 * 60 / 100.0, rel=1e-12)
 
 
+@pytest.mark.parametrize(("mode", "weight"), [(10, 1.0), (12, 0.5)])
+def test_the_modes_of_a_module_fade_as_a_cosine_squared(mode: int, weight: float) -> None:
+    """Whole to the cut-off, half way down at 1.15 of it, where mode 12 is."""
+    length, bins = 12.0 * np.pi * HEIGHT / (1.15 * CUTOFF_X), 40
+    phase = mode * np.pi * np.arange(bins + 1) / bins
+    wave = 1.0 + np.sqrt(2.0) * 0.1 * np.diff(np.sin(phase)) / np.diff(phase)
+    tally = np.repeat(wave[None, None, :], 2, axis=0).repeat(4, axis=1)
+    found = ModuleField.from_bins(tally, 1, (0.0, length, -30.0, 30.0), HEIGHT).coefficients[0, 0]
+    assert found[mode] / found[0] == pytest.approx(0.1 * weight, rel=1e-9)
+
+
 def test_denoising_leaves_what_is_certain_and_shrinks_what_is_not() -> None:
     """Equal groups are left alone; of pure noise about a flat cell less is left than in the mean."""
     rng = np.random.default_rng(11)

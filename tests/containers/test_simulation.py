@@ -409,6 +409,17 @@ def test_counts_grow_as_asked_and_no_faster_than_twice(blocks: int, error: float
     assert next_blocks(blocks, float("inf"), target) == 2 * blocks
 
 
+@pytest.mark.parametrize(
+    ("blocks", "error", "target", "following"),
+    [(400, 0.0125, 0.01, 657), (1000, 0.01, 0.01, 1050), (4, 0.01, 0.005, 8), (4, 0.0050001, 0.005, 5)],
+)
+def test_a_run_goes_on_to_what_its_error_asks_for_and_5_percent(
+    blocks: int, error: float, target: float, following: int
+) -> None:
+    """400 blocks at 1.25 of the target want 625 and 31.25 more; never more than twice, never less than one more."""
+    assert next_blocks(blocks, error, target) == following
+
+
 @dataclass
 class Noise:
     """A solver whose histories are pure noise: the mean over groups of normal numbers, 0 in truth."""

@@ -22,6 +22,7 @@ from containers.ray_tracing.uniformity import (
     array_region,
     cell_region,
     metrics_of,
+    percentile_1_over_99,
     uniformity,
 )
 from luxloop.errors import InputError
@@ -94,6 +95,14 @@ def test_of_a_known_map_every_number_is_the_closed_form() -> None:
     for name, value in expected.items():
         assert found[name].value == pytest.approx(value, rel=1e-9), name
     assert found["uniformity_2d"].value < found["percentile_ratio"].value < 1.0
+
+
+def test_percentiles_leave_a_hundredth_beyond_them() -> None:
+    """Of 100 x 100 different values a hundred are below the one and a hundred above the other, in any order."""
+    ramp = np.random.default_rng(1).permutation(10_000.0 + np.arange(10_000.0)).reshape(1, 100, 100)
+    low, high = percentile_1_over_99(np.concatenate([ramp, 2.0 * ramp]))
+    assert low.tolist() == [10_100.0, 20_200.0]
+    assert high.tolist() == [19_899.0, 39_798.0]
 
 
 def test_the_line_holds_an_extremum_between_the_chips() -> None:

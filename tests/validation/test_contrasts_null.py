@@ -9,9 +9,12 @@ import pytest
 from scipy.stats import ks_2samp, kstest
 
 from tests.validation.analytic import ARRAY, HALO, MODEL, PATHS, REACH, SIGMA, SINGLE, Spots, blank, measured, spots
+from validation.contrasts.families import layout_of
 from validation.contrasts.null import Null, Projection, Standard, Variances, null
+from validation.contrasts.places import Picture
 from validation.contrasts.structure import counted_p, families_moved, fit_layout, fit_projection, judged, structure
 from validation.fit import fit
+from validation.fit.least_squares import Parameter, basis, reduce
 from validation.fit.whitening import variance_scales
 from validation.prediction import Anchored, View
 
@@ -216,3 +219,26 @@ def test_a_known_error_is_weighed_against_each_family():
     once, twice = (families_moved(layout, projection, drawn, weight, k * bump)["blocks of 4"] for k in (1.0, 2.0))
     assert twice == pytest.approx(4.0 * once, rel=1e-6)
     assert once > 0.01
+
+
+def test_errors_of_priors_are_in_the_null():
+    """A fit that its prior holds: parameters drawn from it and fitted again leave as much as the null says.
+
+    Without them half of the energy of the block that the parameter fills would be called too much.
+    """
+    side, draws, sd = 16, 4000, 1.0 / 16.0
+    y_um, x_um = np.indices((side, side)) * 25.0
+    layout = layout_of([Picture("a", np.ones((side, side), bool), 25.0, x_um, y_um, np.zeros((1, 2)), 0)])
+    column, random = np.ones(side**2), np.random.default_rng(5)
+    reduced = reduce(column[None], 0.0 * column, (Parameter("level", prior_sd=sd),), np.zeros(1))
+    taken = basis(column[None], reduced, np.ones(1, bool))
+    projection = Projection(taken.data, taken.prior)
+    assert projection.freedom == pytest.approx(side**2 - 0.5)
+    weight = Variances.of(layout, projection).weight
+    data = sd * random.standard_normal(draws) * column[:, None] + random.standard_normal((side**2, draws))
+    left = data - column[:, None] * (column @ data) / (side**2 + 1.0 / sd**2)
+    expected = layout.energies(layout.cells @ left, weight).mean(axis=1)
+    found = null(layout, projection, weight, draws, seed=3).energies.mean(axis=1)
+    np.testing.assert_allclose(found, expected, rtol=0.1)
+    whole = layout.members.index(("blocks of 16", "a"))
+    assert found[whole] == pytest.approx(1.0, abs=0.1)

@@ -28,6 +28,7 @@ from tests.validation.analytic import (
 from validation.dataset.manifest import FilmLayer, FilmSample, SpectrumShot
 from validation.dataset.spectra import SpectrumTable
 from validation.fit import (
+    NOT_CONVERGED,
     CurveData,
     CurvesOf,
     Discrepancy,
@@ -103,6 +104,8 @@ def test_a_fit_ends_where_what_is_asked_is_out_of_reach(found):
     assert given_up.iterations < whole.iterations
     assert given_up.chi2 - PROMISED * given_up.gap > 0.5 * whole.chi2
     assert not given_up.converged
+    assert not given_up.trusted
+    assert given_up.distrust[0].startswith(f"{NOT_CONVERGED}: {given_up.gap:.3g} of chi2 is still to be gained")
 
 
 def test_nuisances_only():

@@ -150,3 +150,25 @@ def test_a_step_by_two_walks_is_the_step_where_they_are_the_same():
     reduced = reduce(columns, residual, parameters, np.array([0.3, 0.2, 0.1]))
     whole = reduced.crossed_step(columns, columns, residual, np.array([True, True, True]))
     np.testing.assert_allclose(whole, reduced.step().change, rtol=1e-9)
+
+
+def test_what_a_prior_pulls_counts_in_what_is_to_be_gained():
+    """A value of 3 and a prior one sigma off on the other side: 9 + 1 now, 4 + 4 at best."""
+    reduced = reduce(
+        np.ones((1, 1)), np.array([3.0]), (Parameter("a", prior_mean=4.0, prior_sd=1.0),), np.full(1, 5.0)
+    )
+    assert reduced.chi2 == pytest.approx(10.0)
+    assert reduced.step().change == pytest.approx([1.0])
+    assert reduced.step().chi2 == pytest.approx(8.0)
+    assert reduced.gap == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize("short", [False, True])
+def test_a_short_step_goes_no_further_than_a_pose_may(short):
+    """The parameter that may not go further stops there, the other is the best for that; at its end it may."""
+    columns, residual = np.array([[1.0, 0.0, 0.0], [1.0, 1.0, 0.0]]), np.array([5.0, 2.0, 7.0])
+    step = reduce(columns, residual, (Parameter("a", longest_step=0.5), Parameter("b")), np.zeros(2)).step(
+        short=short
+    )
+    np.testing.assert_allclose(step.change, [0.5, 3.25] if short else [3.0, 2.0], rtol=1e-9)
+    assert not step.at_limit.any()

@@ -130,3 +130,13 @@ def test_variance_scale_lies_between_prior_and_data():
     assert variance_scale(11.0, 10.0) == pytest.approx(1.0, abs=2e-3)
     assert variance_scale(1.1e7, 1e7) == pytest.approx(1.1, abs=1e-4)
     np.testing.assert_allclose(variance_scales(np.array([1e4]), 1e4), 1.0, atol=1e-9)
+
+
+def test_a_variance_scale_is_the_mean_of_those_that_would_have_left_as_much():
+    """Of scales drawn from the prior, each with a chi2 of 1,000 degrees, those where it came to 1,100."""
+    random = np.random.default_rng(1)
+    log_v = 0.03 * random.standard_normal(1_000_000)
+    chi2 = np.exp(log_v) * random.chisquare(1000.0, log_v.size)
+    like = log_v[np.abs(chi2 - 1100.0) < 10.0]
+    assert len(like) > 5000
+    assert np.log(variance_scale(1100.0, 1000.0)) == pytest.approx(like.mean(), abs=0.002)

@@ -25,6 +25,8 @@ NOT_CONVERGED = "the fit has not converged"
 NO_STEP = "no good step is left by derivatives that are mostly noise of Monte Carlo (more histories)"
 LEAST_GAP = 0.1
 """Of chi2: less to be gained is not why a fit stopped."""
+ROUNDING = 1e-6
+"""Of a degree of freedom: as many parameters as values leave some 1e-15, of either sign."""
 UNMENDED = "free less, or look for what the model lacks (luxloop where, luxloop diagnose)"
 MOST_HISTORIES = 10**9  # of a sample, that a request may ask for
 LEAST_LIGHT = 5.0
@@ -256,6 +258,6 @@ def _reasons(
             reasons.append(f"nothing measured depends on {name}; fix it or give it a prior")
     if (condition := reduced.condition(active)) > WORST_CONDITION:
         reasons.append(f"two parameters are the same to these data (condition {condition:.1e}); fix one of them")
-    if freedom <= 0.0:
+    if freedom < ROUNDING:
         reasons.append("there are no more measured values than parameters; measure more or free less")
     return reasons

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -9,12 +10,13 @@ import pytest
 
 from luxloop.effect import EffectSpec
 from luxloop.errors import InputError
+from luxloop.model import Fit as Limits
 from luxloop.model import Model
 from luxloop.model_file import parse_toml, to_toml
 from tests.validation.analytic import MODEL, PATHS
 from tests.validation.diagnose import made_up
 from tests.validation.diagnose.made_up import CHIPS, columns_at, hidden
-from validation.diagnose.by_sample import is_by_sample, with_members_free, with_own_values
+from validation.diagnose.by_sample import Own, _members, _renewed, is_by_sample, with_members_free, with_own_values
 from validation.diagnose.held_out import folds_by_blocks, folds_by_sample, held_out
 from validation.fit import Fit, fit
 from validation.fit.parameters import free_paths
@@ -61,6 +63,25 @@ def test_chips_share_a_spread_and_each_has_its_own_gain() -> None:
     assert 0.02 < limits.prior_sd < 0.1  # 0.063 over the chips that act, less over all of a module
     assert found.chi2_per_row < 1.1 < base.chi2_per_row
     assert free_paths(found.model) == PATHS
+
+
+def test_the_spread_of_members_counts_what_is_not_known_of_each() -> None:
+    """A gain of 0.03 known exactly and one of 0 +- 0.04: the mean square is half of 0.05^2, about off and not 0."""
+    columns: Any = tuple(
+        SimpleNamespace(sample="array", effect="chips", parameter="gain", chip=chip) for chip in (0, 1)
+    )
+    own = {"array": Own({}, columns, np.zeros(2), 0.0)}
+    for off in (0.0, 1.0):
+        gain = CHIPS.parameters[0].model_copy(update={"off": off, "upper": 2.0})
+        paths = [member.path for member, _ in _members(own)]
+        values = dict(zip(paths, ((off + 0.03, 0.0), (off, 0.04)), strict=True))
+        limits = {"effects.chips.gain": Limits(free=True, lower=-0.5, upper=2.0, prior_mean=off, prior_sd=0.2)}
+        found: Any = SimpleNamespace(
+            value=lambda path, of=values: of[path][0], error=lambda path, of=values: of[path][1],
+            model=SimpleNamespace(fit=limits),
+        )  # fmt: skip
+        renewed = _renewed(found, CHIPS.model_copy(update={"parameters": (gain,)}), own)
+        assert renewed["effects.chips.gain"].prior_sd == pytest.approx(0.05 / np.sqrt(2.0), rel=1e-12)
 
 
 def test_a_model_with_values_by_sample_is_fitted_again_with_them_free() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from tests.validation.analytic import ARRAY, MODEL, Spots
 from tests.validation.diagnose.made_up import CATALOGUE, GAIN, data, diagnosis
@@ -40,6 +41,17 @@ def test_what_is_above_its_limit_is_seen() -> None:
     by_name = {name: value for name, _, value, _ in limits(diagnosis(data(None, 1)).steps[0].scores)}
     words = [diagnosis(data("ripple", seed, by_name["ripple"])).verdict.word for seed in range(10)]
     assert sum(word != "nothing_visible" for word in words) >= 7
+
+
+def test_a_limit_is_so_many_errors_as_level_and_power_ask_for() -> None:
+    """Half of 1 % for the scores, either side, of four effects: 3.227 sigma, and 1.282 more for 90 %; by name."""
+    effects = diagnosis(data(None, 1)).steps[0].scores
+    wanted = {one.name: (3.2272 + 1.2816) * one.best.error for one in effects.effects}
+    wanted["fog"] = np.sqrt(wanted["fog"])  # its image goes with the square
+    found = {name: value for name, _, value, _ in limits(effects, 0.01)}
+    assert len(wanted) == 4
+    assert found == pytest.approx({name: wanted[name] for name in found}, rel=1e-4)
+    assert {"ripple", "fog"} < set(found)
 
 
 def test_a_sentence_names_a_few_limits_and_counts_the_others() -> None:

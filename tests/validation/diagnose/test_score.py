@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy.stats import chi2
 
 from luxloop.effect import EffectParameter, EffectSpec
 from validation.contrasts.null import Projection
-from validation.diagnose import score
+from validation.diagnose import refit, score
 from validation.diagnose.score import Candidate, Projected, scores
 from validation.effects.confounding import confounding, left_beside
 
@@ -73,6 +76,40 @@ def test_a_side_that_does_not_exist_has_no_gain() -> None:
     projected = Projected.of([candidate("a", a, one_sided=True)], PROJECTION)
     assert scores(projected, PROJECTION.residual(-0.3 * a)).effects[0].best.drop == 0.0
     assert scores(projected, PROJECTION.residual(0.3 * a)).effects[0].best.drop > 100.0
+
+
+@pytest.mark.parametrize(("one_sided", "z", "p"), [(True, 1.645, 0.05), (False, 1.645, 0.1), (True, 2.326, 0.01)])
+def test_noise_is_on_the_other_side_as_often(one_sided: bool, z: float, p: float) -> None:
+    """A one-sided effect at the normal quantile of 5 %: noise does as much in 5 % of cases; either side in 10 %."""
+    a = PROJECTION.residual(column(1))
+    projected = Projected.of([candidate("a", a, one_sided=one_sided)], PROJECTION)
+    found = scores(projected, z * a / np.linalg.norm(a))
+    assert found.effects[0].best.drop == pytest.approx(z**2, rel=1e-9)
+    assert found.effects[0].p == pytest.approx(p, rel=0.2)
+    assert found.p == pytest.approx(p, rel=0.2)
+
+
+def test_all_variances_twice_as_large_make_errors_larger_and_sizes_the_same() -> None:
+    """By the root of two; z is smaller by it."""
+    a = column(1)
+    projected = Projected.of([candidate("a", a)], PROJECTION)
+    one, two = (
+        scores(projected, PROJECTION.residual(0.2 * a), scale, draws=10).effects[0].best for scale in (1.0, 2.0)
+    )
+    assert one.size == pytest.approx(0.2, rel=1e-9)
+    assert two.size == pytest.approx(0.2, rel=1e-9)
+    assert two.error == pytest.approx(np.sqrt(2.0) * one.error, rel=1e-9)
+    assert two.z == pytest.approx(one.z / np.sqrt(2.0), rel=1e-9)
+
+
+def test_beyond_what_was_drawn_a_chance_counts_every_shape() -> None:
+    """Of three shapes at 6 sigma three times that of one, 1.97e-9; drawn, it would be a ten-thousandth."""
+    shapes = [candidate("a", PROJECTION.residual(column(seed)), length=float(seed)) for seed in (1, 2, 3)]
+    along = 6.0 * shapes[0].columns[0] / np.linalg.norm(shapes[0].columns[0])
+    few, many = (scores(Projected.of(some, PROJECTION), along, draws=1000) for some in (shapes[:1], shapes))
+    assert few.effects[0].p == pytest.approx(1.973e-9, rel=1e-3)
+    assert many.effects[0].p == pytest.approx(3.0 * 1.973e-9, rel=1e-3)
+    assert many.p == pytest.approx(3.0 * 1.973e-9, rel=1e-3)
 
 
 def test_what_the_fit_can_do_anyway_is_not_testable() -> None:
@@ -160,3 +197,21 @@ def test_what_is_left_beside_a_rival() -> None:
     cosine = float(a @ b) / 1e4
     assert left_beside(a, [b[None]]) == pytest.approx(100.0 * np.sqrt(1.0 - cosine**2), rel=1e-6)
     assert left_beside(a, []) == pytest.approx(100.0)
+
+
+def test_the_error_of_a_refitted_spread_is_how_far_it_scatters() -> None:
+    """Of 300 draws of 12 members far above the noise: the spread of 12 numbers is known to one in sqrt(24)."""
+    one = candidate("all", np.array([column(seed) for seed in range(20, 32)]), group=True)
+    random, known = np.random.default_rng(12), SimpleNamespace(parameters=())
+    found = []
+    for k in range(300):
+        residual = PROJECTION.residual(0.1 * random.standard_normal(12) @ one.columns) + noise(k)
+        base: Any = SimpleNamespace(
+            basis=SimpleNamespace(data=FITTED), residual=residual, chi2=float(residual @ residual),
+            values=np.zeros(0), problem=SimpleNamespace(unknowns=known),
+        )  # fmt: skip
+        found.append(refit.spread(base, one))
+    values, errors = (np.array([getattr(each, name) for each in found]) for name in ("value", "error"))
+    assert np.median(values) == pytest.approx(0.1, rel=0.05)
+    assert np.median(errors) == pytest.approx(0.1 / np.sqrt(24.0), rel=0.1)
+    assert np.std(values) == pytest.approx(0.1 / np.sqrt(24.0), rel=0.15)

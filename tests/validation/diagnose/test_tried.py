@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
+from tests.validation.analytic import MODEL, SIGMA
+from tests.validation.diagnose.made_up import diagnosis, images_of
 from validation.diagnose import tried
 from validation.diagnose.diagnosis import blurred
 from validation.diagnose.tried import Tried
+from validation.fit import Fit
 
 FIRST, OWN, RIVALS = "the base's anchor", "an anchor of its own", "the rival's anchor"
 
@@ -95,6 +100,24 @@ def test_what_looks_like_the_likeliest_is_fitted_though_it_gained_less(
     refits = [one("truth", 103.0, FIRST, left=left), one("rival", 30.0, FIRST, left=left)]
     tried_with(monkeypatch, finished, beside, refits).finish(lambda *_: None)
     assert asked == asked_for
+
+
+def test_what_an_effect_takes_off_a_prior_counts_in_its_drop() -> None:
+    """The model's own parameter makes up for a ripple against a narrow prior, and goes back beside it."""
+    narrow = MODEL.fit[SIGMA].model_copy(update={"prior_mean": 6.0, "prior_sd": 0.01})
+    images = images_of(MODEL.with_value(SIGMA, 6.0), 1)
+    x = np.cos(np.arange(40) / 6.0)
+    images = [replace(one, signal_dn=one.signal_dn * (1.0 + 0.1 * np.add.outer(x, x))) for one in images]
+    first = diagnosis(images, MODEL.model_copy(update={"fit": MODEL.fit | {SIGMA: narrow}})).steps[0]
+
+    def whole(found: Fit) -> float:
+        known = zip(found.problem.unknowns.parameters, found.values, strict=True)
+        return found.chi2 + float(sum(((value - one.prior_mean) / one.prior_sd) ** 2 for one, value in known))
+
+    assert whole(first.ground.fit) - first.ground.fit.chi2 > 10.0
+    for one, refit in zip(first.explanations, first.refits, strict=True):
+        assert refit.fit is not None
+        assert one.drop == pytest.approx(whole(first.ground.fit) - whole(refit.fit), abs=0.5)
 
 
 @pytest.mark.parametrize(

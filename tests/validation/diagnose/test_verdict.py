@@ -8,7 +8,8 @@ import pytest
 
 from validation.diagnose.explained import Share
 from validation.diagnose.explanation import Explanation
-from validation.diagnose.verdict import Verdict, decided, told_of_rest
+from validation.diagnose.rounds import is_a_guess
+from validation.diagnose.verdict import Verdict, concluded, decided, leaves_too_much, told_of_rest
 
 
 def explanation(name: str, drop: float, share: Share, beside: dict[str, float]) -> Explanation:
@@ -109,3 +110,66 @@ def test_a_sentence_ends_with_what_is_left() -> None:
     )
     in_part = " What it leaves is explained in part by chip (gain 0.1); structure is left with all (p 0.0001)."
     assert told_of_rest(alone, [leaves], ["chip (gain 0.1)"], 0.0001) == in_part
+
+
+@pytest.mark.parametrize(
+    ("group", "left", "share", "word"),
+    [
+        (True, 0.001, 0.95, "none_of_the_known"),
+        (True, 0.3, 0.95, "one_effect"),
+        (False, 0.001, 0.95, "one_effect"),
+        (False, 0.001, 0.6, "none_of_the_known"),
+        (False, 0.3, 0.6, "one_effect"),
+    ],
+)
+def test_a_group_alone_must_leave_nothing_an_effect_may_leave_a_fifth(
+    group: bool, left: float, share: float, word: str
+) -> None:
+    """A number for each chip takes most of anything: what it leaves is told by its null, not by its share."""
+    share_of = Share(share, 0.02)
+    only = replace(explanation("chips", 400.0, share_of, {}), has_members=group, p_left=left)
+    first = Verdict("one_effect", "One effect.", ("chips",))
+    found = concluded(first, only, [share_of], left, 32, lambda: "stripes.")
+    assert found.word == word
+    assert (found is first) == (word == "one_effect")
+    assert ("What is left: stripes." in found.sentence) == (word != "one_effect")
+
+
+@pytest.mark.parametrize(("group", "left", "word"), [(False, 0.001, "fit_not_trustworthy"),
+                                                     (True, 0.3, "fit_not_trustworthy"),
+                                                     (True, 0.001, "none_of_the_known")])  # fmt: skip
+def test_a_doubted_fit_is_mended_first_but_for_a_group_that_leaves_structure(
+    group: bool, left: float, word: str
+) -> None:
+    """Something else may be what drives such a group's fit to a limit."""
+    share = Share(0.95, 0.02)
+    only = replace(explanation("chips", 400.0, share, {}), has_members=group, p_left=left, distrust=("a limit",))
+    first = Verdict("one_effect", "One effect.", ("chips",))
+    assert concluded(first, only, [share], left, 32, lambda: "").word == word
+
+
+def test_what_all_rounds_explain_is_what_none_of_them_leaves() -> None:
+    """Halves of halves, each with one error in its favour: 1 - 0.5 x 0.5 is below 0.8, 1 - 0.4 x 0.4 above."""
+    half, more = Share(0.4, 0.1), Share(0.5, 0.1)
+    assert leaves_too_much(0.001, [half, half])
+    assert not leaves_too_much(0.001, [more, more])
+    assert not leaves_too_much(0.006, [half])
+    assert leaves_too_much(0.0049, [Share(-3.0, 0.1), Share(0.7, 0.05)])
+
+
+@pytest.mark.parametrize(
+    ("group", "left", "share", "guess"),
+    [
+        (True, 0.001, 0.9, True),
+        (True, 0.3, 0.9, False),
+        (False, 0.001, 0.9, False),
+        (False, 0.001, 0.4, True),
+        (False, 0.3, 0.4, False),
+    ],
+)
+def test_a_second_effect_that_leaves_structure_is_a_guess_where_it_is_a_group_or_small(
+    group: bool, left: float, share: float, guess: bool
+) -> None:
+    """So many members explain 0.9 of most things."""
+    best = replace(explanation("chips", 400.0, Share(share, 0.02), {}), has_members=group, p_left=left)
+    assert is_a_guess(best) == guess
