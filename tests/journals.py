@@ -15,6 +15,7 @@ from luxloop.campaign import AgentRecord, Note, Step
 from luxloop.design import Design
 from luxloop.errors import LuxloopError
 from luxloop.journal.journal import Journal
+from luxloop.journal.reader import RunJournal
 from luxloop.journal.topics import (
     Record,
     map_record,
@@ -94,6 +95,24 @@ def write_run(folder: Path, steps: int, first: int = 0, finish: bool = True) -> 
         journal.finish()
     journal.close()
     return written
+
+
+def messages(folder: Path) -> list[Record]:
+    """All records of a run, the chain's own excepted."""
+    return list(RunJournal(folder).records())
+
+
+def held_up(journal: Journal) -> threading.Event:
+    """The writer's thread is busy with step 0 until the event is set: what is put meanwhile waits."""
+    begun, over = threading.Event(), threading.Event()
+
+    def hold(_: LuxloopError | None) -> None:
+        begun.set()
+        over.wait(20)
+
+    journal.put(records_of_step(0), hold)
+    assert begun.wait(20)
+    return over
 
 
 def main() -> None:

@@ -19,7 +19,7 @@ from luxloop.errors import LuxloopError, RemoteError
 from luxloop.failure import Code, Failure, printable
 from luxloop.journal.chain import Mark
 from luxloop.journal.reader import number_of, segments_of, tail_of
-from luxloop.journal.segment import Segment, being_written
+from luxloop.journal.segment import Segment, being_written, sync_folder
 from luxloop.journal.topics import Record
 
 log = logging.getLogger(__name__)
@@ -51,7 +51,9 @@ class Journal:
         """
         self.folder, self._queue_bytes = folder, queue_bytes
         try:
-            folder.mkdir(parents=True, exist_ok=True)
+            for new in reversed([place for place in (folder, *folder.parents) if not place.exists()]):
+                new.mkdir(exist_ok=True)
+                sync_folder(new.parent)
             before = segments_of(folder)
             if before and being_written(before[-1]):
                 raise _failure(f"{folder}: its journal is being written by another process", "end that one first")

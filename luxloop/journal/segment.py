@@ -43,8 +43,7 @@ class SegmentFile:
         """Opens a new file. Raises FileExistsError where there is one."""
         self._channels: dict[str, int] = {}
         self._file = _DurableFile(path)
-        stream = cast(IO[bytes], self._file)
-        self._writer = Writer(stream, chunk_bytes, CompressionType.ZSTD, enable_data_crcs=True)
+        self._writer = Writer(cast(IO[bytes], self._file), chunk_bytes, CompressionType.ZSTD, enable_data_crcs=True)
         self._writer.start(PROFILE, f"luxloop {__version__}")
 
     def add(self, link: Link) -> None:
@@ -246,11 +245,10 @@ def write_side_file(folder: Path, mark: Mark) -> None:
 
 def read_side_file(folder: Path) -> Mark | None:
     """The mark in the side file; None where there is none. Raises ValueError or OSError where it cannot be read."""
-    try:
+    with suppress(FileNotFoundError):
         root, _, records = (folder / SIDE_FILE).read_text().strip().partition(" ")
-    except FileNotFoundError:
-        return None
-    return Mark(int(records), root)
+        return Mark(int(records), root)
+    return None
 
 
 def sync_folder(folder: Path) -> None:

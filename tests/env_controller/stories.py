@@ -19,8 +19,8 @@ class Story:
     def submit(self, task: str = A, **options: float) -> list[e.Command]:
         return self.core.handle(e.Submitted(self.now, task, "film", **options))  # type: ignore[arg-type]
 
-    def join(self, worker: str = "w1", *holding: tuple[str, int]) -> list[e.Command]:
-        return self.core.handle(e.Joined(self.now, worker, "film", holding=holding))
+    def join(self, worker: str = "w1", *holding: tuple[str, int], slots: int = 1) -> list[e.Command]:
+        return self.core.handle(e.Joined(self.now, worker, "film", slots, holding))
 
     def poll(self, worker: str = "w1", holding: tuple[str, ...] = (), hold: bool = True) -> list[e.Command]:
         self.polls += 1

@@ -194,9 +194,10 @@ def test_two_runs_do_not_share_lanes_or_designers() -> None:
     assert {step.run for step in steps} == {"one", "two"}
 
 
-def test_finalists_have_their_own_seed_and_leave_the_lane_where_it_was() -> None:
-    """Evaluated anew, never from the walk's results."""
-    story = Story()
+@pytest.mark.parametrize("reward", ["gain", "r2", "r3"])
+def test_finalists_have_their_own_seed_and_leave_the_lane_where_it_was(reward: str) -> None:
+    """Evaluated anew, never from the walk's results; nothing is earned by it, also where a level and no gain pays."""
+    story = Story(plan(reward=reward))
     evaluated(story, 0.80, design=DESIGN)
     other = DESIGN.model_copy(update={"width_um": 50.0})
     step = evaluated(story, 0.9, design=other, final=True, seed="11")

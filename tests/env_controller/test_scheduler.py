@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pytest
+
 from env_controller import events as e
 from tests.env_controller.stories import A, B, Story
 
@@ -241,6 +243,21 @@ def test_patience_ends_a_task_that_no_worker_comes_for() -> None:
     assert served.core.handle(e.Tick(500.0)) == []
 
 
+@pytest.mark.parametrize("in_hand", [False, True])
+def test_patience_begins_when_the_last_worker_goes(in_hand: bool) -> None:
+    """What waited behind a busy worker, or was in its hands, has not been waiting for one to come."""
+    story = Story().leased("w1", B)
+    story.submit(A, patience_s=5.0)
+    if in_hand:
+        story.deliver("w1", B)
+        assert story.granted("w1") == A
+    story.core.handle(e.Left(100.0, "w1"))
+    assert story.core.handle(e.Tick(104.0)) == []
+    (finish,) = story.core.handle(e.Tick(106.0))
+    assert isinstance(finish, e.Finish)
+    assert (finish.task_id, finish.code) == (A, "no_worker")
+
+
 def test_withdrawing_stops_the_worker() -> None:
     """A withdrawn task ends as cancelled, its worker is told, its result no longer counts."""
     story = Story().leased()
@@ -282,6 +299,18 @@ class TestComingBack:
         assert story.poll("w2") == [e.Grant(2, "w2", A, 2)]
         assert story.join("w1", (A, 1)) == [e.Stop("w1", A, 1)]
         assert story.core.leases[A].worker == "w2"
+
+    def test_it_goes_on_with_no_more_than_it_has_places_for(self) -> None:
+        """Back with one place less: the first stays, the other is dropped and waits for another worker."""
+        story = Story()
+        story.join("w1", slots=2)
+        for task in (A, B):
+            story.submit(task)
+            story.poll("w1", holding=tuple(story.core.leases))
+        story.core.handle(e.Left(1.0, "w1"))
+        assert story.join("w1", (A, 1), (B, 1), slots=1) == [e.Stop("w1", B, 1)]
+        assert [lease.task_id for lease in story.core.held_by("w1")] == [A]
+        assert B in story.core.ready["film"]
 
     def test_it_is_stopped_where_the_task_has_ended(self) -> None:
         """Withdrawn or done meanwhile: drop it."""

@@ -22,6 +22,7 @@ class FaultyWorld:
         for _ in range(8):  # so that what takes over 2 s is slow, and hedged
             self.core._durations.note("film", 0.1)
         self.now, self.polls = 0.0, 0
+        self.slots = {"w0": 1, "w1": 1, "w2": 2, "w3": 2}
         self.wanted: Counter[str] = Counter()
         self.ended: Counter[str] = Counter()
         self.in_hand: dict[str, set[tuple[str, int]]] = {}  # what each worker believes it holds
@@ -51,7 +52,7 @@ class FaultyWorld:
         for lease in (*core.leases.values(), *core.hedges.values()):
             assert lease.worker in core.workers, "leased to a lost worker"
         for task, hedge in core.hedges.items():
-            assert core.leases[task].attempt != hedge.attempt, "hedged by itself"
+            assert core.leases[task].worker != hedge.worker, "hedged by itself"
         assert all(name in core.workers for name in core.polls.values()), "a poll of a lost worker"
         for task, times in self.wanted.items():
             assert self.ended[task] + (task in core.tasks) == times, "a task was lost or ended twice"
@@ -72,6 +73,7 @@ class FaultyWorld:
                 "submit",
                 "join",
                 "left",
+                "cut",
                 "poll",
                 "poll",
                 "deliver",
@@ -92,6 +94,10 @@ class FaultyWorld:
         elif what == "join":
             if self.random.random() < 0.5:
                 hand.clear()
+            self.join(worker, hand)
+        elif what == "cut":  # and it computes on what it was told to drop, too: more than it has slots for
+            self.send(e.Left(self.now, worker, blame=False))
+            hand |= {(task, attempt) for name, task, attempt in self.old if name == worker}
             self.join(worker, hand)
         elif what == "left":
             if self.random.random() < 0.5:  # else only its link was lost, and it computes on
@@ -124,7 +130,7 @@ class FaultyWorld:
         What was leased and is not in hand may be on its way.
         """
         told, before = set(), {(lease.task_id, lease.attempt) for lease in self.core.held_by(worker)}
-        for command in self.core.handle(e.Joined(self.now, worker, "film", holding=tuple(sorted(hand)))):
+        for command in self.core.handle(e.Joined(self.now, worker, "film", self.slots[worker], tuple(sorted(hand)))):
             if isinstance(command, e.Stop) and command.worker == worker:
                 told.add((command.task_id, command.attempt))
         kept = {(lease.task_id, lease.attempt) for lease in self.core.held_by(worker)}

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from env_controller import events as e
-from env_controller.scheduler import BETWEEN_S, GROUPS
+from env_controller.scheduler import GROUPS
 from env_controller.waiting import LOOK_AHEAD, group_of
 from luxloop.messages import Task
 from tests.env_controller.stories import A, B, Story
@@ -40,6 +40,43 @@ def test_the_slowest_task_is_hedged_when_nothing_else_waits() -> None:
     ]
     assert not story.deliver("w1", A, 1)[0].accepted  # type: ignore[attr-defined]
     assert story.core.counts["hedged"] == 1
+
+
+def test_of_two_slow_tasks_the_older_is_hedged() -> None:
+    """It is the likelier to hang; the younger is next."""
+    story = slow_story()
+    story.submit(B)
+    story.poll("w2")
+    story.now += 10.0
+    for worker, task in (("w3", A), ("w4", B)):
+        story.join(worker)
+        assert story.poll(worker) == [e.Grant(story.polls, worker, task, 2)]
+
+
+def test_nobody_hedges_its_own_task() -> None:
+    """A place that its own worker has free is no second worker."""
+    story = slow_story()
+    story.join("w1", (A, 1), slots=2)
+    assert story.poll("w1", holding=(A,)) == []
+    assert story.poll("w2") == [e.Grant(story.polls, "w2", A, 2)]
+
+
+def test_what_is_slow_goes_by_the_time_that_tasks_run() -> None:
+    """Not by how long they had to wait: eight waited for a hundred seconds and ran for a tenth of one."""
+    story = Story(silence_s=60.0)
+    tasks = [f"{number}" * 64 for number in range(8)]
+    for task in tasks:
+        story.submit(task)
+    story.now += 100.0
+    story.join("w1")
+    for task in tasks:
+        assert story.granted("w1") == task
+        story.now += 0.1
+        story.deliver("w1", task)
+    story.leased("w1", A)
+    story.now += 3.0
+    story.join("w2")
+    assert story.poll("w2") == [e.Grant(story.polls, "w2", A, 2)]
 
 
 def test_the_slow_one_may_still_win() -> None:
@@ -176,8 +213,13 @@ def test_of_idle_workers_the_one_that_had_the_group_gets_the_task() -> None:
     ]  # the last to have it
 
 
-@pytest.mark.parametrize(("after_s", "asks"), [(0.01, True), (0.01, False), (1.0, False)])
-def test_the_worker_that_had_the_group_is_waited_for_between_two_tasks(after_s: float, asks: bool) -> None:  # a case
+@pytest.mark.parametrize(
+    ("after_s", "asks", "waited_for"),
+    [(0.01, True, True), (0.2, True, True), (0.01, False, True), (0.3, False, False), (1.0, False, False)],
+)
+def test_the_worker_that_had_the_group_is_waited_for_between_two_tasks(
+    after_s: float, asks: bool, waited_for: bool
+) -> None:
     """It has delivered and asks in a moment. If it does not, the next sign of another one gives the task to that."""
     story = Story(silence_s=60.0)
     story.join("w1")
@@ -189,13 +231,10 @@ def test_the_worker_that_had_the_group_is_waited_for_between_two_tasks(after_s: 
     story.deliver("w1", A)
     story.now += after_s
     submitted = story.submit(B, group="anchor")
-    if after_s > BETWEEN_S:
-        assert submitted == [e.Grant(waits, "w2", B, 1)]
-    elif asks:
-        assert submitted == []
+    assert submitted == ([] if waited_for else [e.Grant(waits, "w2", B, 1)])
+    if asks:
         assert story.poll("w1") == [e.Grant(story.polls, "w1", B, 1)]
-    else:
-        assert submitted == []
+    elif waited_for:
         assert story.core.handle(e.Beat(story.now, "w2")) == [e.Grant(waits, "w2", B, 1)]
 
 

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import errno
 import os
 import shutil
 import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -19,37 +17,30 @@ from luxloop.campaign import Begin
 from luxloop.errors import InputError, LuxloopError, RemoteError
 from luxloop.journal import segment as segment_module
 from luxloop.journal.chain import Mark
-from luxloop.journal.journal import Journal
 from luxloop.journal.reader import RunJournal, SegmentReader, segments_of, tail_of
 from luxloop.journal.scan import Scan
 from luxloop.journal.topics import CHAIN, Record, log_record, opening
-from tests.journals import ATTACHMENTS, METADATA, RUN, a_map, a_step, open_journal, put, records_of_step, write_run
+from tests.journals import (
+    ATTACHMENTS,
+    METADATA,
+    RUN,
+    a_map,
+    a_step,
+    held_up,
+    messages,
+    open_journal,
+    put,
+    records_of_step,
+    write_run,
+)  # fmt: skip
 
 ROOT = Path(__file__).parents[3]
-
-
-def messages(folder: Path) -> list[Record]:
-    """All records of a run, the chain's own excepted."""
-    return list(RunJournal(folder).records())
 
 
 def writing_process(folder: Path, *more: str) -> subprocess.Popen[str]:
     """A process that writes steps until killed and says each that was acknowledged."""
     code = [sys.executable, "-m", "tests.journals", str(folder), *more]
     return subprocess.Popen(code, cwd=ROOT, stdout=subprocess.PIPE, text=True)
-
-
-def held_up(journal: Journal) -> threading.Event:
-    """The writer's thread is busy with step 0 until the event is set: what is put meanwhile waits."""
-    begun, over = threading.Event(), threading.Event()
-
-    def hold(_: LuxloopError | None) -> None:
-        begun.set()
-        over.wait(20)
-
-    journal.put(records_of_step(0), hold)
-    assert begun.wait(20)
-    return over
 
 
 def in_two_segments(folder: Path) -> list[Record]:
@@ -168,6 +159,28 @@ def test_a_full_queue_says_busy_and_drops_nothing(tmp_path: Path) -> None:
     assert [step.number for step in RunJournal(tmp_path).steps()] == taken
 
 
+def test_what_was_written_makes_room_in_the_queue(tmp_path: Path) -> None:
+    """Five batches, one after the other, fill it no more than none: two that wait at once have room."""
+    journal = open_journal(tmp_path, queue_bytes=1000)
+    lines = [log_record("x" * 280, number, number) for number in range(7)]
+    for line in lines[:5]:
+        put(journal, [line])
+    busy = held_up(journal)
+    for line in lines[5:]:
+        journal.put([line], lambda _: None)
+    busy.set()
+    journal.close()
+    assert [entry for entry in messages(tmp_path) if entry in lines] == lines
+
+
+def test_a_batch_larger_than_the_queue_is_taken_where_nothing_waits(tmp_path: Path) -> None:
+    """It would be refused for ever otherwise, however often it is tried again."""
+    journal = open_journal(tmp_path, queue_bytes=1)
+    put(journal, records_of_step(0))
+    journal.finish()
+    assert messages(tmp_path) == records_of_step(0)
+
+
 def test_whoever_falls_over_its_acknowledgement_stops_nobody(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -282,130 +295,6 @@ def test_where_no_more_can_be_written_the_acknowledged_stays(tmp_path: Path) -> 
     assert str(tmp_path) in line
     assert len(acknowledged) > 3
     assert [step.number for step in RunJournal(tmp_path).steps()] == acknowledged
-
-
-@pytest.fixture
-def tiny_disk(tmp_path: Path) -> Iterator[Path]:
-    """A file system with room for 64 KiB; skipped where none may be mounted."""
-    place = tmp_path / "disk"
-    place.mkdir()
-    mount = shutil.which("mount")
-    if mount is None or os.geteuid() != 0:
-        pytest.skip("mounting a small file system needs root")
-    command = [mount, "-t", "tmpfs", "-o", "size=64k", "tmpfs", str(place)]
-    if subprocess.run(command, capture_output=True, check=False).returncode:
-        pytest.skip("a small file system cannot be mounted here")
-    yield place
-    subprocess.run(["umount", "-l", str(place)], check=False)
-
-
-def test_a_full_disk_is_said_and_nothing_acknowledged_is_lost(tiny_disk: Path) -> None:
-    """ENOSPC of a real file system, then room is made and the run goes on in a new segment."""
-    ballast = tiny_disk / "ballast"
-    ballast.write_bytes(bytes(32 << 10))
-    folder = tiny_disk / "run"
-    journal = open_journal(folder)
-    acknowledged = []
-
-    def fill() -> None:
-        for number in range(1000):
-            put(journal, records_of_step(number))
-            acknowledged.append(number)
-
-    with pytest.raises(RemoteError, match="No space left") as caught:
-        fill()
-    assert "make room" in caught.value.failure.mend
-    assert str(folder) in str(caught.value)
-    for again in (lambda: put(journal, records_of_step(0)), journal.finish):
-        with pytest.raises(RemoteError, match="No space left"):
-            again()
-    journal.close()
-    assert [step.number for step in RunJournal(folder).steps()] == acknowledged
-    ballast.unlink()
-    write_run(folder, 1, first=len(acknowledged))
-    assert [step.number for step in RunJournal(folder).steps()] == [*acknowledged, len(acknowledged)]
-
-
-@pytest.mark.parametrize("code", [errno.EIO, errno.ENOSPC, errno.EROFS])
-def test_the_first_failure_of_the_disk_is_final(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: int) -> None:
-    """fdatasync fails once and would work again: what it lost cannot be known, so nothing more is acknowledged."""
-    journal = open_journal(tmp_path)
-    put(journal, records_of_step(0))
-    with monkeypatch.context() as patch:
-
-        def fails(_: int) -> None:
-            raise OSError(code, os.strerror(code))
-
-        patch.setattr(os, "fdatasync", fails)
-        with pytest.raises(RemoteError, match=os.strerror(code)):
-            put(journal, records_of_step(1))
-    with pytest.raises(RemoteError, match=os.strerror(code)):
-        put(journal, records_of_step(2))
-    with pytest.raises(RemoteError, match=os.strerror(code)):
-        journal.finish()
-    journal.close()
-    assert messages(tmp_path) == records_of_step(0)
-
-
-def test_batches_that_wait_when_the_disk_fails_are_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nobody waits for ever."""
-    journal = open_journal(tmp_path)
-    told: list[LuxloopError | None] = []
-    busy = held_up(journal)
-    for number in range(1, 4):
-        journal.put(records_of_step(number), told.append)
-    monkeypatch.setattr(
-        segment_module._DurableFile, "sync", lambda _: (_ for _ in ()).throw(OSError(errno.EIO, "gone"))
-    )
-    busy.set()
-    journal.close()
-    assert [type(error) for error in told] == [RemoteError] * 3
-    assert all("gone" in str(error) for error in told)
-
-
-def test_a_folder_that_is_removed_is_noticed(tmp_path: Path) -> None:
-    """Writing to a removed file succeeds, and nobody would ever find it."""
-    folder = tmp_path / "run"
-    journal = open_journal(folder)
-    put(journal, records_of_step(0))
-    shutil.rmtree(folder)
-    with pytest.raises(RemoteError, match="removed"):
-        put(journal, records_of_step(1))
-    journal.close()
-
-
-def test_a_journal_that_could_not_begin_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The same id can be taken once there is room: no folder, no empty segment."""
-
-    def fails(_: int) -> None:
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    with monkeypatch.context() as patch:
-        patch.setattr(os, "fdatasync", fails)
-        with pytest.raises(RemoteError, match="No space left"):
-            open_journal(tmp_path / "run")
-    assert not (tmp_path / "run").exists()
-    assert write_run(tmp_path / "run", 1) == messages(tmp_path / "run")
-
-
-@pytest.mark.parametrize("place", ["/proc/run", "{}/file/run", "{}/file"])
-def test_a_folder_that_cannot_be_written_is_said_at_once(tmp_path: Path, place: str) -> None:
-    """With its name and a mend, before anything is computed."""
-    (tmp_path / "file").write_text("in the way")
-    folder = Path(place.format(tmp_path))
-    with pytest.raises(RemoteError, match="cannot be written") as caught:
-        open_journal(folder)
-    assert str(folder) in caught.value.failure.message
-    assert "another results folder" in caught.value.failure.mend
-
-
-@pytest.mark.skipif(os.geteuid() == 0, reason="root writes anywhere")
-def test_a_read_only_folder_is_said_at_once(tmp_path: Path) -> None:
-    """By its permissions."""
-    tmp_path.chmod(0o500)
-    with pytest.raises(RemoteError, match="Permission denied"):
-        open_journal(tmp_path)
-    tmp_path.chmod(0o700)
 
 
 def test_a_failure_that_is_ours_is_told_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
