@@ -15,6 +15,7 @@ from agent.in_words import line
 from agent.options import Json, NoLocal, Quiet, Router, Runs
 from agent.telling import tell
 from luxloop.errors import InputError, LuxloopError
+from luxloop.journal.topics import VALIDATION
 from luxloop.run_folders import find_run, refuse_unreadable, runs_in
 from luxloop.settings import Settings, load_settings
 
@@ -119,6 +120,8 @@ def _row_text(row: dict[str, Any]) -> str:
     name = Path(row["folder"]).name  # which commands take; a run that was recovered has several folders
     if "damaged" in row:
         return f"{name:40} damaged: {row['mend']}"
+    if row["kind"] == VALIDATION:  # which has no steps of a design
+        return f"{name:40} {row['kind']:9} {row['state']}"
     best = row.get("best")
     found = f"best {100.0 * best['uniformity']:.2f} %" if best else "nothing yet"
     return f"{name:40} {row['kind']:9} {row['state']:11} {row['steps']:>6} steps  {found}"

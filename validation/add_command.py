@@ -24,6 +24,7 @@ from validation.compare_command import (
     Seed,
 )
 from validation.diagnose_command import Free, diagnosing, facts_of
+from validation.writing import drawn, view_of
 
 if TYPE_CHECKING:
     from validation.diagnosing import Diagnosing
@@ -104,7 +105,6 @@ def ladder(
     """Watch the error fall: fitted and held-out error of every version of the model, the noise, what moved back."""
     from luxloop.model_file import SHIPPED, read_text
     from validation import told_diagnosis as told
-    from validation.compare_command import view_of
     from validation.diagnose.ladder import ladder as ladder_of
     from validation.model_versions import version_text, versions
 
@@ -117,9 +117,8 @@ def ladder(
         "model": {"file": model},
         **ladder_of(known, {one.number: version_text(path, one.number) for one in known}),
     }
-    if draw is not None:
-        draw(document, {}, page)
     typer.echo(json.dumps(document, ensure_ascii=False) if as_json else "\n".join(told.ladder(document)))
+    drawn(draw, document, dict, page)
 
 
 def _done(

@@ -7,15 +7,18 @@ import sys
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
+from time import monotonic
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from luxloop.errors import InputError
 from luxloop.settings import load_settings
-from validation.calibrate_command import LastHistories
+from validation.calibrate_command import LastHistories, refuse_fewer
 from validation.compare_command import HISTORIES, Histories, Json, NoLocal, Page, Quiet, Router
+from validation.writing import drawn, view_of
 
 if TYPE_CHECKING:
     from luxloop.settings import Settings
@@ -108,9 +111,12 @@ def diagnose(
     from validation.blind_test.folders import read_index
     from validation.blind_test.judging import Judge, chosen_model, not_made
     from validation.comparing import NULLS, Solver
+    from validation.diagnose_command import names_of
 
     settings, index = load_settings(router=router), read_index(folder)
     chosen = chosen_model(folder, index, model)
+    chosen_from = tuple(names_of("--among", among))
+    refuse_fewer(None if twin else histories, most_histories)
     solver = Solver.of_diagnosis(None if twin else histories, seed, most_histories)
     verdicts: Counter[str] = Counter()
     with (
@@ -118,7 +124,6 @@ def diagnose(
         workers(settings, no_local) as (predictor, known),
         bar(as_json or quiet) as heard,
     ):
-        chosen_from = tuple(name.strip() for name in (among or "").split(",") if name.strip())
         judge = Judge(folder, chosen, predictor, known, solver, settings.cache_dir / NULLS, chosen_from)
         verdicts.update(str(record["verdict"]) for record in judge.verdicts(index, heard))
     judged, missing = sum(verdicts.values()), len(not_made(folder, index))
@@ -154,13 +159,11 @@ def score(
     from validation.blind_test import told
     from validation.blind_test.scoring import maps_of
     from validation.blind_test.scoring import score as scored
-    from validation.compare_command import view_of
 
     draw = view_of("blind", page) if page is not None else None
     document = scored(folders)
-    if draw is not None:
-        draw(document, maps_of(document["misses"]), page)
     typer.echo(json.dumps(document, ensure_ascii=False) if as_json else "\n".join(told.scored(document)))
+    drawn(draw, document, lambda: maps_of(document["misses"]), page)
 
 
 @contextmanager
@@ -179,13 +182,35 @@ def workers(settings: Settings, no_local: bool) -> Iterator[tuple[Predictor, Kno
 
 @contextmanager
 def bar(silent: bool) -> Iterator[Callable[[int, int, str], Any]]:
-    """A bar on a terminal: what is told how many of how many are done, and what is done now."""
+    """Told how many of how many are done, and what is done now: a bar on a terminal, else a line for each done."""
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    show = not silent and sys.stderr.isatty()
-    with Progress(*columns, console=console, transient=True, disable=not show) as progress:
+    terminal = sys.stderr.isatty()
+    lines = Lines()
+    with Progress(*columns, console=console, transient=True, disable=silent or not terminal) as progress:
         row = progress.add_task("sets", total=None)
-        yield lambda done, of, what: progress.update(row, completed=done, total=of, description=what)
+
+        def heard(done: int, of: int, what: str) -> None:
+            progress.update(row, completed=done, total=of, description=what)
+            if not (silent or terminal):
+                lines.next(done, of, what)
+
+        yield heard
+
+
+@dataclass
+class Lines:
+    """Lines on stderr: what has been done, and how long it took."""
+
+    what: str = ""
+    since_s: float = 0.0
+
+    def next(self, done: int, of: int, what: str) -> None:
+        """What was begun before is done; `done` of `of` are."""
+        now_s = monotonic()
+        if self.what:
+            typer.echo(f"luxloop: {self.what}: {now_s - self.since_s:.0f} s; {done} of {of} done", err=True)
+        self.what, self.since_s = what, now_s

@@ -26,8 +26,8 @@ from validation.compare_command import (
     Runs,
     Seed,
     errors_of,
-    view_of,
 )
+from validation.writing import drawn, view_of
 
 if TYPE_CHECKING:
     from luxloop.model import Model
@@ -82,6 +82,8 @@ def calibrate(
     from validation.session import session, subject_of
 
     draw = view_of("calibration", page) if page is not None else None
+    most = max(most_histories, histories) if most_histories == MOST_HISTORIES else most_histories
+    refuse_fewer(None if twin else histories, most)
     settings = load_settings(runs=runs, router=router)
     subject = subject_of(model, None)
     if joint and fit_only:
@@ -89,7 +91,7 @@ def calibrate(
     observed = Observed.of(subject.dataset, pixel_um, film)
     chosen = paths_of(subject.model, free)
     say = not (as_json or quiet)
-    solver = Solver(None if twin else histories, seed, most_histories)
+    solver = Solver(None if twin else histories, seed, most)
     way: Way | None = None if fit_only else "joint" if joint else "in turn"
     with (
         session(settings, subject, "calibrate", seed=seed, local=not no_local, say=say) as at,
@@ -116,9 +118,15 @@ def calibrate(
         kept = found.after.fit.model.model_copy(update={"data": subject.with_data.data})
         version = subject.saved(kept, "calibrate", errors_of(found.after))
         document["version"] = version.number if version else None
-    if draw is not None:
-        draw(document, {}, page)
     typer.echo(json.dumps(document, ensure_ascii=False) if as_json else "\n".join(told.calibration(document)))
+    drawn(draw, document, dict, page)
+
+
+def refuse_fewer(histories: int | None, most_histories: int | None) -> None:
+    """InputError where the last anchor would have at most fewer histories than the first; None: of the twin alone."""
+    if histories is not None and most_histories and most_histories < histories:
+        allowed = f"0 for no other last anchor, or at least --histories, {histories:,}"
+        raise InputError("--most-histories", most_histories, allowed, "raise it, or lower --histories")
 
 
 def paths_of(model: Model, free: str | None) -> list[str]:

@@ -3,30 +3,27 @@
 from __future__ import annotations
 
 import json
-import os
 import shlex
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from luxloop.errors import InputError
 from luxloop.settings import load_settings
+from validation.writing import drawn, view_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from validation.comparing import Comparison
     from validation.session import Subject
 
 HISTORIES = 4_000_000
 """Of Monte Carlo, for each sample: its noise is then below that of the declared camera."""
-PAGES = (".html", ".png", ".svg", ".pdf")
 
 ModelFile = Annotated[str, typer.Option("--model", help="Model file; begun from `paper` if there is none.")]
 Twin = Annotated[bool, typer.Option("--twin", help="The twin alone: two seconds, its own error not excluded.")]
@@ -59,8 +56,7 @@ def compare(
 ) -> None:
     """Compare a model with measurements: error, noise, p-value of every shot. The model file remembers the data."""
     at = Asked("compare", model, dataset, None if twin else histories, seed, pixel_um, film, page)
-    document = at.done(no_local, runs, router, say=not (as_json or quiet))
-    _tell(document, as_json, where=False)
+    at.done(no_local, runs, router, say=not (as_json or quiet), as_json=as_json)
 
 
 def where(
@@ -79,8 +75,7 @@ def where(
 ) -> None:
     """See where the model fails: the regions that are least like noise, and a page with the residuals drawn."""
     at = Asked("where", model, None, None if twin else histories, seed, pixel_um, film, page)
-    document = at.done(no_local, runs, router, say=not (as_json or quiet))
-    _tell(document, as_json, where=True)
+    at.done(no_local, runs, router, say=not (as_json or quiet), as_json=as_json)
 
 
 @dataclass(frozen=True)
@@ -96,8 +91,9 @@ class Asked:
     film: str | None
     page: Path | None
 
-    def done(self, no_local: bool, runs: Path | None, router: str | None, *, say: bool) -> dict[str, Any]:
-        """Compare, put it on record, write the page; the document."""
+    def done(self, no_local: bool, runs: Path | None, router: str | None, *, say: bool, as_json: bool) -> None:
+        """Compare, put it on record, tell it, write the page."""
+        from validation.cautions import faults_of
         from validation.comparing import NULLS, Solver, compared
         from validation.observed import Observed
         from validation.session import session, subject_of
@@ -106,25 +102,27 @@ class Asked:
         settings = load_settings(runs=runs, router=router)
         subject = subject_of(self.model, self.dataset)
         observed = Observed.of(subject.dataset, self.pixel_um, self.film)
-        solver = Solver(self.histories, self.seed)
+        solver, faults = Solver(self.histories, self.seed), list(faults_of(subject.dataset.folder))
+        for fault in faults if say else ():
+            typer.echo(f"luxloop: {fault}", err=True)
         with (
             session(settings, subject, self.command, seed=self.seed, local=not no_local, say=say) as at,
             waiting(say, "comparing"),
         ):
             found = compared(subject.model, observed, at.predictor, solver, cache=settings.cache_dir / NULLS)
-            document = self.document(subject, found) | {"run": at.door.run, "folder": at.door.begun.folder}
+            document = self.document(subject, found, faults) | {"run": at.door.run, "folder": at.door.begun.folder}
             at.record(document, found.residual_maps())
         if self.command == "compare":
             self.keep(subject, found)
-        if draw is not None:
-            draw(document, found.arrays(), self.page)
-        return document
+        _tell(document, as_json, where=self.command == "where")
+        drawn(draw, document, found.arrays, self.page)
 
-    def document(self, subject: Subject, found: Comparison) -> dict[str, Any]:
-        """Of the comparison, with what was compared; `where` adds the profiles."""
+    def document(self, subject: Subject, found: Comparison, faults: Sequence[str]) -> dict[str, Any]:
+        """Of the comparison, with what was compared, and `faults` of the data; `where` adds the profiles."""
+        from validation.cautions import overstated
         from validation.profiles import profiles
 
-        manifest, chosen = subject.dataset.manifest, subject.model
+        manifest, chosen, told = subject.dataset.manifest, subject.model, found.document()
         return {
             "command": shlex.join(["luxloop", *sys.argv[1:]]),
             "model": {"file": subject.file, "name": chosen.name, "sha256": chosen.sha256},
@@ -132,7 +130,7 @@ class Asked:
                 "path": str(subject.dataset.folder.resolve()), "name": manifest.name,
                 "sha256": subject.dataset.sha256, "pixel_um": self.pixel_um, "film": self.film,
             },
-            **found.document(),
+            **told, "warnings": [*faults, *overstated(told["shots"], len(told["parameters"]))],
             "profiles": profiles(found.fit) if self.command == "where" or self.page is not None else [],
         }  # fmt: skip
 
@@ -146,24 +144,6 @@ def errors_of(found: Comparison) -> dict[str, float]:
     """What a version of a model file is kept with: rms error of every shot in percent, p of structure."""
     rows = {shot["id"]: shot["rms_error_percent"] for shot in found.document()["shots"]}
     return {f"{shot} rms %": round(error, 4) for shot, error in rows.items()} | {"p": found.structure.p}
-
-
-def view_of(name: str, page: Path) -> Callable[..., None]:
-    """What draws a document of that kind; InputError naming --page where it cannot be."""
-    if page.suffix not in PAGES:
-        raise InputError("--page", str(page), f"a name that ends with {', '.join(PAGES)}", "rename it")
-    if not page.parent.is_dir():
-        raise InputError("--page", str(page), "a file in a folder that is there", f"make {page.parent} first")
-    if page.is_dir() or not os.access(page.parent, os.W_OK):
-        raise InputError("--page", str(page), "a file that can be written", "name another one")
-    try:
-        (point,) = entry_points(group="luxloop.views", name=name)
-        draw: Callable[..., None] = point.load()
-    except (ImportError, ValueError) as error:  # ValueError: no view of that name
-        raise InputError(
-            "--page", str(page), "an installation with pictures", "pip install 'luxloop[viewer]'"
-        ) from error
-    return draw
 
 
 @contextmanager

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -206,7 +207,8 @@ def _print_show(data: Dataset, shots: dict[str, list[dict[str, Any]]]) -> None:
     from luxloop.units import unit_of
 
     console = Console()
-    console = console if console.is_terminal else Console(width=WIDTH_WITHOUT_TERMINAL)
+    wide = console.is_terminal or os.environ.get("COLUMNS", "").isdigit()
+    console = console if wide else Console(width=WIDTH_WITHOUT_TERMINAL)
     manifest = data.manifest
     print_ = console.print
     print_(f"{manifest.name}  ({manifest.licence or 'no licence stated'})  {data.sha256[:12]}", markup=False)

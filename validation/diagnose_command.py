@@ -15,7 +15,7 @@ import typer
 from luxloop.errors import InputError
 from luxloop.files import read_text, whole
 from luxloop.settings import load_settings
-from validation.calibrate_command import LastHistories, ModelFile, Twin, bar, paths_of
+from validation.calibrate_command import LastHistories, ModelFile, Twin, bar, paths_of, refuse_fewer
 from validation.compare_command import (
     HISTORIES,
     Film,
@@ -29,6 +29,7 @@ from validation.compare_command import (
     Runs,
     Seed,
 )
+from validation.writing import drawn, view_of
 
 if TYPE_CHECKING:
     from validation.diagnosing import Diagnosing
@@ -67,6 +68,7 @@ def diagnosing(
     from validation.observed import Observed
     from validation.session import session, subject_of
 
+    refuse_fewer(histories, most_histories)
     settings = load_settings(runs=runs, router=router)
     subject = subject_of(model, None)
     observed = Observed.of(subject.dataset, pixel_um, film)
@@ -139,29 +141,32 @@ def diagnose(
 ) -> None:
     """Learn which physical effect the model lacks: one verdict, the effects by rank, the measurement to take next."""
     from validation import told_diagnosis as told
-    from validation.compare_command import view_of
     from validation.comparing import maps_of
+    from validation.diagnose.arrays import arrays_of
     from validation.diagnose.document import document
 
     draw = view_of("diagnosis", page) if page is not None else None
     with diagnosing(
         "diagnose", model, free=free, histories=None if twin else histories, seed=seed, pixel_um=pixel_um, film=film,
         runs=runs, router=router, no_local=no_local, say=not (as_json or quiet),
-        among=[name.strip() for name in (among or "").split(",") if name.strip()], most_histories=most_histories,
+        among=names_of("--among", among), most_histories=most_histories,
     ) as (engine, subject, at):  # fmt: skip
         found = engine.diagnosed()
         told_of = facts_of(subject, at, engine, pixel_um, film) | document(found, seed)
         told_of |= {"not_tested": engine.untested, "held": [one.document() for one in engine.held(found)]}
         at.record(told_of, maps_of(found.steps[0].ground.fit))
-        arrays = {}
-        if draw is not None:
-            from validation.diagnose.arrays import arrays_of
-
-            arrays = arrays_of(found)
+        arrays = arrays_of(found) if draw is not None else {}
     keep(subject, told_of)
-    if draw is not None:
-        draw(told_of, arrays, page)
     typer.echo(json.dumps(told_of, ensure_ascii=False) if as_json else "\n".join(told.diagnosis(told_of)))
+    drawn(draw, told_of, lambda: arrays, page)
+
+
+def names_of(option: str, text: str | None) -> list[str]:
+    """The effects that an option names, with commas; none where it is left out. InputError where it names none."""
+    names = [name.strip() for name in (text or "").split(",") if name.strip()]
+    if text is not None and not names:
+        raise InputError(option, text, "names of effects, with commas", "leave it out for all of them")
+    return names
 
 
 def next_(

@@ -14,7 +14,8 @@ import typer
 
 from luxloop.errors import InputError, RemoteError
 from luxloop.settings import load_settings, usable_cache
-from validation.compare_command import view_of, waiting
+from validation.compare_command import waiting
+from validation.writing import drawn, view_of, written
 
 if TYPE_CHECKING:
     from luxloop.effect import EffectSpec
@@ -80,12 +81,12 @@ def show(
         document, arrays = shown(at.predictor, at.known, find_model(model), spec, values_of(spec, value or []))
     document["stanza"] = stanza(applied(spec, document["values"]))
     if arrays:
-        draw(document, arrays, page)
         document["picture"] = str(page)
     if as_json:
         typer.echo(json.dumps(spec.model_dump(mode="json") | document, ensure_ascii=False))
     else:
         typer.echo("\n".join(card(spec, document)))
+    drawn(draw if arrays else None, document, lambda: arrays, page)
 
 
 def new(
@@ -112,9 +113,10 @@ def new(
     with _asked(effects, router, no_local, not (quiet or as_json), "asking the workers") as at:
         if any(spec.name == name for spec in at.known.specs):
             raise InputError("NAME", name, "a name that no effect has", "luxloop effects list shows those there are")
-    folder.mkdir(parents=True, exist_ok=True)
-    with file.open("x", encoding="utf-8") as written:
-        written.write(source_of(name, stage))
+    with written("--effects", file, "name another folder by --effects or LUXLOOP_EFFECTS"):
+        folder.mkdir(parents=True, exist_ok=True)
+        with file.open("x", encoding="utf-8") as opened:
+            opened.write(source_of(name, stage))
     told = {"file": str(file), "stage": stage, "next": f"luxloop effects check {name}"}
     typer.echo(json.dumps(told) if as_json else f"{file} written: change it, then {told['next']}")
 
@@ -158,23 +160,23 @@ def confusion(
     """Show which effects the data cannot tell apart: cosines of all pairs, in groups."""
     from luxloop.model_file import find_model
     from validation.dataset.folder import read_dataset
+    from validation.diagnose_command import names_of
     from validation.effects.confusing import confusion as confused
     from validation.effects.confusing import grounds
     from validation.effects.told import confusing
     from validation.observed import Observed
 
     draw = view_of("confusion", page) if page is not None else None
+    names = names_of("--only", None if only is None else ",".join(only))
     chosen = find_model(model)
     observed = None if dataset is None else Observed.of(read_dataset(dataset))
     with _asked(effects, router, no_local, not (quiet or as_json), "predicting") as at:
-        names = [name.strip() for one in only or () for name in one.split(",") if name.strip()]
         specs = [at.known.spec(one) for one in names] if names else list(at.known.specs)
         seen = grounds(chosen, at.predictor, at.known, observed)
         found = [confused(ground, chosen, specs, at.say) for ground in seen]
     document = {"model": chosen.name, "maps": [one.document() for one in found if one.names]}
-    if draw is not None:
-        draw(document, {}, page)
     typer.echo(json.dumps(document, ensure_ascii=False) if as_json else "\n".join(confusing(document, page)))
+    drawn(draw, document, dict, page)
 
 
 # What the commands share

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -100,12 +101,21 @@ def undo(
     to: Annotated[int | None, typer.Option("--to", help="Number of the version; else the one before.")] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Put the version before back. It becomes a new version, so undo can itself be undone."""
+    """Put the version before back. It becomes a new version, so undo can itself be undone.
+
+    Version numbers are counted over all model files of a folder, so those of one file may have gaps.
+    """
     _refuse_shipped(file, "a shipped model never changes")
     version = undo_version(file, "model undo" + (f" --to {to}" if to is not None else ""), to)
     number = version.number
-    told = {"file": str(file), "version": number, "sha256": version.sha256}
-    _print(told, f"{file} is back, as version {number}, {version.sha256[:12]}; `luxloop model diff {file}`", as_json)
+    told = {"file": str(file), "version": number, "sha256": version.sha256, "fault": None}
+    said = f"{file} is back, as version {number}, {version.sha256[:12]}; `luxloop model diff {file}`"
+    try:
+        find_model(file)
+    except InputError as error:  # somebody's work, all the same
+        told["fault"] = str(error)
+        said = f"{file} is back, as version {number}, but it is no model: {error}; correct it, or undo again"
+    _print(told, said, as_json)
 
 
 def _refuse_shipped(file: Path, mend: str) -> None:
@@ -120,7 +130,8 @@ def _print(told: dict[str, Any], text: str, as_json: bool) -> None:
 
 def _console() -> Console:
     console = Console()
-    return console if console.is_terminal else Console(width=WIDTH_WITHOUT_TERMINAL)
+    told = console.is_terminal or os.environ.get("COLUMNS", "").isdigit()
+    return console if told else Console(width=WIDTH_WITHOUT_TERMINAL)
 
 
 def _as_object(file: str, model: Model, history: list[Version]) -> dict[str, Any]:

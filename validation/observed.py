@@ -14,6 +14,7 @@ from validation.measured import (
     measured_far_fields,
     measured_images,
     measured_spectra,
+    refuse_no_pixel,
 )
 
 
@@ -34,6 +35,7 @@ class Observed:
 
         Raises InputError for the first fault of a file, and a film that the data set does not describe.
         """
+        _refuse_unused(dataset, compare_pixel_um, film)
         images = measured_images(dataset, compare_pixel_um)
         spectra = [_of_film(one, dataset, film) for one in measured_spectra(dataset)]
         films, films_at = film_parameters(spectra)
@@ -51,9 +53,23 @@ class Observed:
 
 
 def _of_film(spectrum: MeasuredSpectrum, dataset: Dataset, film: str | None) -> MeasuredSpectrum:
-    if film is None:
-        return spectrum
-    known = [one.id for one in dataset.manifest.films]
-    if film not in known:
-        raise InputError("--film", film, ", ".join(known) or "(the data set has none)", "describe it under [[films]]")
-    return replace(spectrum, film=dataset.manifest.film(film))
+    return spectrum if film is None else replace(spectrum, film=dataset.manifest.film(film))
+
+
+def _refuse_unused(dataset: Dataset, pixel_um: float | None, film: str | None) -> None:
+    """InputError for a film or a pixel that these data cannot be compared with or at."""
+    manifest = dataset.manifest
+    known = [one.id for one in manifest.films]
+    if film is not None and not manifest.spectra():
+        raise InputError("--film", film, "data with spectra", "there are none here: leave it out")
+    if film is not None and film not in known:
+        raise InputError("--film", film, ", ".join(known), "describe it under [[films]]")
+    refuse_no_pixel(pixel_um)
+    if pixel_um is None:
+        return
+    if manifest.camera is None or not manifest.images():
+        raise InputError("--pixel-um", pixel_um, "data with images", "there are none here: leave it out")
+    least_um = manifest.camera.pixel_um
+    if pixel_um < least_um * (1.0 - 1e-9):
+        mend = "no smaller one was measured; leave it out for 1/16 of the pitch"
+        raise InputError("--pixel-um", pixel_um, f"at least the camera's pixel, {least_um:g} um", mend)

@@ -97,9 +97,9 @@ def subject_of(file: str, dataset: Path | None) -> Subject:
     if given is not None:
         return Subject(file, _of_these_samples(model, path.parent, given), given, text)
     if model.data is None:
-        raise InputError(
-            "--model", file, "a model that was compared with data", "luxloop compare DATASET comes first"
-        )
+        mend = "luxloop compare DATASET comes first"
+        mend += f", with a --model file of your own: {file} ships, and keeps no data" if file in SHIPPED else ""
+        raise InputError("--model", file, "a model that was compared with data", mend)
     found = read_dataset((path.parent / model.data.path).resolve())
     if found.sha256 != model.data.sha256:
         mend = "luxloop compare DATASET takes them as they are now"

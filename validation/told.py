@@ -31,6 +31,7 @@ def comparison(document: Document) -> Iterator[str]:
     yield document["sentence"] + "."
     if not document["trusted"]:
         yield f"Not to be trusted: {document['reason']}."
+    yield from (f"Warning: {warning}." for warning in document.get("warnings", ()))
     yield from pulled(images)
     if _by_twin(document):
         yield "By the twin alone, whose own error may show as structure: leave --twin out for the verdict."

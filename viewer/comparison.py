@@ -98,6 +98,8 @@ def _head(document: Document) -> Iterator[str]:
     yield html.highlights(rows)
     if not document["trusted"]:
         yield paragraph(f"The fit itself is not trustworthy: {document['reason']}. Mend this first.", "note")
+    for warning in document.get("warnings", ()):
+        yield paragraph(f"Warning: {warning}.", "note")
 
 
 def _images(document: Document, arrays: Arrays) -> Iterator[str]:

@@ -101,7 +101,10 @@ def _recovered(recovery: Recovery) -> list[str]:
     if recovery.mark.records:
         before = "is what was there" if recovery.replaced else "is as it was"
         lines.append(_row("chain", f"{recovery.mark.records:,} records, root {recovery.mark.root}"))
-        lines.append(_row("written to", f"{recovery.out}; {recovery.folder} {before}"))
+        if recovery.out == recovery.folder:
+            lines.append(_row("left as it was", f"{recovery.folder}: there is nothing to replace"))
+        else:
+            lines.append(_row("written to", f"{recovery.out}; {recovery.folder} {before}"))
     return lines
 
 
@@ -111,7 +114,7 @@ def _next(recovery: Recovery) -> str:
 
     if not to_go_on_with(recovery.out):
         return f"luxloop audit verify {_named(recovery.out)}"
-    if recovery.replaced:
+    if recovery.replaced or recovery.out == recovery.folder:
         return f"luxloop campaign resume {_named(recovery.out)}"
     return f"luxloop audit recover {_named(recovery.folder)} --replace"
 

@@ -32,6 +32,7 @@ from luxloop.journal.segment import (
 )
 
 WHOLE, FAILED, LOSS, CHANGED = 0, 1, 3, 5
+FINISHED = "finished"
 
 
 @dataclass
@@ -69,6 +70,11 @@ class Recovery:
         if not self.mark.records:
             return FAILED
         return LOSS if self.lost else WHOLE
+
+    @property
+    def sound(self) -> bool:
+        """Whether nothing was wrong: all is saved, and every segment has its end."""
+        return self.exit_code == WHOLE and all(part.found == FINISHED for part in self.parts)
 
     def document(self) -> dict[str, Any]:
         """As one object for machines."""
@@ -265,7 +271,7 @@ def _look_at_end(scan: Scan, part: Part, recovery: Recovery, *, last: bool) -> N
     """How a segment ends whose commits were all saved; for one that is not the last, the next one says the rest."""
     complete = scan.final == recovery.mark
     if scan.finished:
-        part.found = "finished"
+        part.found = FINISHED
         if not complete:
             recovery.changed.append(f"{part.file}: ends after {recovery.mark.records:,} records, states another root")
         return

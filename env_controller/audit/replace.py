@@ -23,8 +23,9 @@ CHECKPOINTS, PLAN = "checkpoints", "plan.json"
 def replace(folder: Path) -> Recovery:
     """Save what can be read of the run in `folder`, which becomes `<run>-damaged`; what was saved takes its place.
 
-    Nothing is replaced where nothing could be saved. Raises InputError where there is no journal, where it is being
-    written, and where there is a `<run>-damaged` already; LuxloopError where there is no room beside the run.
+    Nothing is replaced where nothing could be saved, or nothing was wrong. Raises InputError where there is no
+    journal, where it is being written, and where there is a `<run>-damaged` already; LuxloopError where there is no
+    room beside the run.
     """
     folder = folder.resolve()
     damaged, fresh = folder.with_name(f"{folder.name}-damaged"), folder.with_name(f".{folder.name}.recovered")
@@ -34,7 +35,11 @@ def replace(folder: Path) -> Recovery:
     with alone(folder) as paths, whole_or_nothing(fresh, "make room there; the run is as it was"):
         empty(fresh)  # of a replacement that was killed
         recovery = save(folder, fresh, paths)
-        if recovery.mark.records:
+        if recovery.sound:
+            empty(fresh)
+            fresh.rmdir()
+            recovery.out = folder
+        elif recovery.mark.records:
             _bring_checkpoints(folder / CHECKPOINTS, fresh / CHECKPOINTS)
             _swap(folder, damaged, fresh)
             recovery.folder, recovery.out, recovery.replaced = damaged, folder, True

@@ -99,6 +99,20 @@ def test_where_nothing_can_be_saved_nothing_is_replaced(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["run"]
 
 
+def test_of_a_sound_run_nothing_is_left_aside(run: Path) -> None:
+    """It had become a-run-damaged, though nothing was missing; a run that stopped is told how to go on."""
+    before = lying(run.parent)
+    code, document = ask("recover", run, "--replace")
+    assert (code, document["replaced"], document["out"]) == (0, False, str(run))
+    assert lying(run.parent) == before
+    stopped = run.with_name("stopped")
+    campaign(stopped, Close("interrupted", complete=False))
+    told = CliRunner().invoke(app(), ["audit", "recover", str(stopped), "--replace"])
+    assert "there is nothing to replace" in told.stdout
+    assert "luxloop campaign resume" in told.stdout
+    assert not stopped.with_name("stopped-damaged").exists()
+
+
 def test_a_run_being_written_and_out_beside_it_are_refused(run: Path, tmp_path: Path) -> None:
     """Its writer is named; --out says another place than --replace."""
     journal = open_journal(tmp_path / "live")

@@ -49,6 +49,38 @@ def only(folder: Path, level: str = "error") -> Finding:
     return finding
 
 
+def test_a_folder_without_a_manifest_is_told_by_its_name(tmp_path: Path) -> None:
+    """Not by that of the file which is not there."""
+    (finding,) = check(tmp_path)
+    assert (finding.file, finding.value) == ("dataset.toml", str(tmp_path))
+    assert "luxloop dataset import makes one" in finding.mend
+
+
+def test_chips_that_overlap_are_told_by_their_width(folder: Path) -> None:
+    """It had been the distance to the receiver."""
+    text = (folder / "dataset.toml").read_text(encoding="utf-8")
+    head, mark, many = text.partition('id = "many"')
+    (folder / "dataset.toml").write_text(head + mark + many.replace("spacing_um = 400.0", "spacing_um = 30.0", 1))
+    finding = found(folder)[0]
+    assert finding.field.endswith("width_um")
+    assert (finding.value, finding.mend) == ("40.0", "chips overlap: correct width_um or spacing_um")
+
+
+def test_an_image_smaller_than_what_it_is_compared_at_asks_for_its_pixel(folder: Path) -> None:
+    """A pixel of 0.024 um for 24 um; such an import had nothing wrong, and no comparison could be made."""
+    edit(folder, "pixel_um = 24.0", "pixel_um = 0.024")
+    fields = {(finding.file, finding.field): finding.mend for finding in found(folder)}
+    assert "is pixel_um right?" in fields["images/single.tif", "size"]
+
+
+def test_a_sigma_that_no_share_can_have_is_told(folder: Path) -> None:
+    """Percent beside values that are shares: every model agreed with such data."""
+    edit(folder, "440,0,u,0.71,0.005", "440,0,u,0.71,1000", "spectra/t.csv")
+    finding = only(folder)
+    assert (finding.file, finding.field, finding.value) == ("spectra/t.csv", "sigma", "up to 1000")
+    assert "in percent" in finding.mend
+
+
 def test_the_data_set_to_begin_with_has_nothing_wrong(folder: Path) -> None:
     """Otherwise what follows would show nothing."""
     assert check(folder) == []

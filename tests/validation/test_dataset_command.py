@@ -121,6 +121,13 @@ def test_show_tells_camera_samples_and_shots(tmp_path: Path) -> None:
         assert word in text
 
 
+def test_show_is_as_wide_as_columns_say(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also into a pipe."""
+    folder = write_dataset(tmp_path)
+    monkeypatch.setenv("COLUMNS", "60")
+    assert max(map(len, run("show", folder).stdout.splitlines())) == 60
+
+
 def test_import_asks_for_everything_that_is_missing_at_once(raw: Path, tmp_path: Path) -> None:
     """The camera's numbers and the samples' designs, by their options; nothing is written."""
     error = refusal("import", raw, "--into", tmp_path / "data", "--pixel-um", "24", "--layout", "array")
@@ -282,8 +289,42 @@ def test_import_refuses_a_camera_that_there_is_not(raw: Path, tmp_path: Path, na
     camera[camera.index(f"--{name}") + 1] = value
     said = ("--layout", "single", "--spacing-um", "400", "--exposure-ms", "4", *DESIGN)
     error = refusal("import", raw, "--into", tmp_path / "data", *camera, *said)
-    assert error.field == f"import: camera: {name.replace('-', '_')}"
+    assert error.field == f"--{name}"
     assert not (tmp_path / "data").exists()
+
+
+@pytest.mark.parametrize(
+    ("option", "value"),
+    [("--exposure-ms", "-1"), ("--distance-um", "-1"), ("--distance-um", "nan"), ("--frames-averaged", "0"),
+     ("--full-well-e", "inf"), ("--rows", "0")],
+)  # fmt: skip
+def test_options_are_looked_at_where_a_table_says_otherwise(
+    raw: Path, tmp_path: Path, option: str, value: str
+) -> None:
+    """The table has that column, so the option is not used; it is refused by name all the same."""
+    header = "file,layout,distance_um,width_um,thickness_um,dbr_pairs,exposure_ms,frames_averaged"
+    (tmp_path / "t.csv").write_text(f"{header}\nsingle.tif,single,180,40,20,5.5,8,1\n")
+    table = ("--table", tmp_path / "t.csv", *CAMERA)
+    assert refusal("import", raw, "--into", tmp_path / "d", *table, option, value).field == option
+    assert not (tmp_path / "d").exists()
+    told("import", raw, "--into", tmp_path / "d", *table)
+
+
+def test_a_place_where_no_data_set_can_be_made_is_told_by_its_option(raw: Path) -> None:
+    """/proc takes no folder, not even of root; the working folder of the import is not named."""
+    error = refusal("import", raw, "--into", "/proc/data", "--layout", "single", *CAMERA, *DESIGN)
+    assert (error.field, error.value) == ("--into", "/proc/data")
+    assert "name a folder where you may write" in error.mend
+
+
+def test_a_saturated_image_lends_no_black_level(raw: Path, tmp_path: Path) -> None:
+    """The option that would say it is named, and where the number came from."""
+    (raw / "more" / "array 1.tif").unlink()
+    tifffile.imwrite(raw / "single.tif", np.full((96, 96), 4095, np.uint16))
+    error = refusal("import", raw, "--into", tmp_path / "d", "--layout", "single", *CAMERA, *DESIGN)
+    assert error.field == "--black-level-dn"
+    assert "4095 DN, read from the dark" in str(error.value)
+    assert "are the images saturated?" in error.mend
 
 
 def test_links_in_a_ring_are_told(raw: Path, tmp_path: Path) -> None:

@@ -144,6 +144,26 @@ def test_a_difference_in_words_only_changes_no_results(folder: Path) -> None:
     assert "1 difference, none that changes results" in run("diff", "model.toml").stdout
 
 
+def test_undo_says_that_what_came_back_is_no_model(folder: Path) -> None:
+    """An edit by hand that cannot be read is somebody's work: it comes back, not as if it had a hash."""
+    run("new")
+    edit(folder / "model.toml", "n_gan = 2.4869", "n_gan = much")
+    assert run("new", "--force").exit_code == 0
+    said = run("undo").stdout
+    assert "but it is no model: model.toml" in said
+    assert ", ;" not in said
+    run("undo")
+    assert "model.toml: line" in told("undo")["fault"]
+    assert told("undo")["fault"] is None
+
+
+def test_a_width_in_columns_is_kept_where_output_is_piped(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without one a pipe gets tables 160 wide."""
+    for columns, wide in (("40", 40), ("", 160), ("many", 160)):
+        monkeypatch.setenv("COLUMNS", columns)
+        assert max(map(len, run("show", "paper").stdout.splitlines())) == wide
+
+
 def test_undo_can_be_undone_and_goes_to_any_version(folder: Path) -> None:
     """Undo twice is where one was; --to names a version."""
     run("new", "--from", "clear_chip")

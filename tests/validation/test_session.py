@@ -31,6 +31,12 @@ def test_a_file_edited_while_a_command_runs_stays_as_it_is(tmp_path: Path) -> No
     assert read_model(file).data is not None
 
 
+def test_a_shipped_model_is_not_promised_data() -> None:
+    """A comparison keeps none in it: a file of one's own is named as the mend."""
+    with pytest.raises(InputError, match="with a --model file of your own: paper ships"):
+        subject_of("paper", None)
+
+
 def test_values_by_sample_are_of_their_own_data(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Of data in another folder they are left out, which is said; those of a sample that is not there are refused."""
     file = tmp_path / "model.toml"

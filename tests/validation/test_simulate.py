@@ -21,6 +21,7 @@ from validation.dataset.checks import check
 from validation.dataset.folder import SUMS, read_dataset, read_sums, sha256_of_file
 from validation.dataset.simulate import (
     DECLARED,
+    PART,
     PEAK_SHARE,
     Plan,
     expected_images,
@@ -175,6 +176,9 @@ def test_spectra_and_far_fields_have_the_noise_that_was_asked_for(run: Run, tmp_
         (("--spectra", "R", "--angle", "90"), "--angle"),
         (("--spectra", "R", "--sigma", "0"), "--sigma"),
         (("--far-field", "--far-sigma", "nan"), "--far-sigma"),
+        (("--shift-px", "inf"), "--shift-px"),
+        (("--shift-px", "12.5"), "--shift-px"),
+        (("--rotation-deg", "inf"), "--rotation-deg"),
     ],
 )
 def test_curves_that_cannot_be_taken_are_refused_by_option(
@@ -269,7 +273,44 @@ def test_a_wrong_plan_is_refused_by_name(run: Run, tmp_path: Path, text: str, fi
     failed = run(tmp_path / "out", *wrong_plan(tmp_path, text))
     assert isinstance(failed.exception, InputError)
     assert failed.exception.field == field
-    assert list((tmp_path / "out").iterdir()) == []
+    assert not (tmp_path / "out").exists()
+
+
+def test_one_folder_is_made_by_one_command_at_a_time(
+    run: Run, workers: Workers, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A second one is refused while the first computes, and takes nothing from it; both had claimed success."""
+    refused: list[Result] = []
+
+    @contextmanager
+    def meanwhile(*_: Any, **__: Any) -> Any:
+        assert [path.name for path in (tmp_path / "set").iterdir()] == [PART]
+        refused.append(run(tmp_path / "set", "--seed", 2))
+        yield workers
+
+    monkeypatch.setattr("luxloop.client.Client", meanwhile)
+    assert run(tmp_path / "set", "--seed", 1).exit_code == 0
+    assert isinstance(refused[0].exception, InputError)
+    assert refused[0].exception.field == "OUT"
+    assert PART in refused[0].exception.mend
+    assert not (tmp_path / "set" / PART).exists()
+    assert "seed 1" in read_dataset(tmp_path / "set").manifest.name
+    assert all(finding.field == "pitch" for finding in check(tmp_path / "set"))
+
+
+def test_what_is_cut_short_leaves_no_part_of_a_data_set(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The folder is empty again, so that the same command can be given once more."""
+
+    def stopped(*_: Any, **__: Any) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr("validation.dataset.simulate.write_sums", stopped)
+        assert run(tmp_path / "set").exit_code != 0
+    assert list((tmp_path / "set").iterdir()) == []
+    assert run(tmp_path / "set").exit_code == 0
 
 
 def test_a_folder_with_something_in_it_is_left_alone(run: Run, tmp_path: Path) -> None:

@@ -193,6 +193,15 @@ def test_the_same_document_gives_the_same_bytes(tmp_path: Path) -> None:
     assert (tmp_path / "one.html").read_bytes() == page_of(document, arrays).encode()
 
 
+def test_warnings_stand_below_the_sentence() -> None:
+    """As text, whatever a path in them holds; a page of an earlier document has none."""
+    arrays: Arrays = {}
+    shot = image(arrays, "a", 16)
+    page = page_of(comparison([shot], warnings=["look at <data>"]), arrays)
+    assert "Warning: look at &lt;data&gt;." in page
+    assert "Warning" not in page_of(comparison([shot]), arrays)
+
+
 def test_an_image_takes_its_share_of_a_small_page() -> None:
     """An image of 128 x 128 takes less than a twenty-fourth of 5 MB."""
     arrays: Arrays = {}

@@ -17,6 +17,7 @@ from luxloop.files import whole
 from luxloop.words import sha256_of
 from validation.dataset.manifest import Manifest
 from validation.dataset.manifest_file import MANIFEST, parse_manifest
+from validation.writing import written
 
 SUMS = "SHA256SUMS"
 MAX_FILE_BYTES = 256 << 20
@@ -64,13 +65,12 @@ def folder_of(path: str | Path) -> Path:
 
 def manifest_bytes(folder: Path) -> bytes:
     """What is in `dataset.toml`; InputError where it is missing or cannot be one."""
-    try:
-        path = confined(folder, MANIFEST, MANIFEST)
-        if path.stat().st_size > MAX_MANIFEST_BYTES:
-            raise InputError(MANIFEST, f"{path.stat().st_size} bytes", f"at most {MAX_MANIFEST_BYTES} bytes")
-        return path.read_bytes()
-    except FileNotFoundError:
-        raise InputError(MANIFEST, str(folder), f"a folder with a {MANIFEST}", "luxloop dataset import") from None
+    if not os.path.lexists(folder / MANIFEST):
+        raise InputError(MANIFEST, str(folder), f"a folder with a {MANIFEST}", "luxloop dataset import makes one")
+    path = confined(folder, MANIFEST, MANIFEST)
+    if path.stat().st_size > MAX_MANIFEST_BYTES:
+        raise InputError(MANIFEST, f"{path.stat().st_size} bytes", f"at most {MAX_MANIFEST_BYTES} bytes")
+    return path.read_bytes()
 
 
 def named_files(manifest: Manifest) -> dict[str, str]:
@@ -140,7 +140,7 @@ def write_sums(folder: Path) -> Path:
     `sha256sum --check SHA256SUMS` in the folder verifies it without luxloop.
     """
     lines = [f"{sha256_of_file(path)}  {name}\n" for name, path in sorted(files_of(folder).items())]
-    with whole(folder / SUMS) as fresh:
+    with written(SUMS, folder, "copy the data set to where you may write"), whole(folder / SUMS) as fresh:
         fresh.write_text("".join(lines), encoding="utf-8")
     return folder / SUMS
 

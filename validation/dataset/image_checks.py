@@ -14,6 +14,7 @@ from luxloop.errors import InputError
 from validation.dataset.images import MASK_TYPES, Pixels, Real, TiffImage, binned_mean
 from validation.dataset.lattice import Lattice, find_lattice
 from validation.dataset.manifest import CameraFacts, ImageShot, Manifest, Sample
+from validation.measured import PIXELS_PER_PITCH
 
 PITCH_TOLERANCE, PITCH_TOLERANCE_OF_FEW = 0.12, 0.15
 """How far a pitch in the image may be from the manifest's; outer chips of a small array look nearer than they are."""
@@ -49,6 +50,7 @@ def image_faults(manifest: Manifest, shot: ImageShot, load: Load) -> Iterator[To
     if camera is None or image is None:
         return
     raw = image.values
+    yield from _of_size(raw, camera, manifest.sample(shot.sample), shot)
     fitting = True
     for name, other in ((shot.mask, mask), (shot.dark, dark), (shot.flat, flat)):
         if name and other is not None and other.values.shape != raw.shape:
@@ -77,6 +79,15 @@ def image_faults(manifest: Manifest, shot: ImageShot, load: Load) -> Iterator[To
 
 def _size(values: Pixels) -> str:
     return f"{values.shape[0]} x {values.shape[1]} pixels"
+
+
+def _of_size(raw: Pixels, camera: CameraFacts, sample: Sample, shot: ImageShot) -> Iterator[Told]:
+    """An image that is smaller than what it is compared at: its pixels are larger than `pixel_um` says."""
+    least_um = sample.spacing_um / PIXELS_PER_PITCH
+    if min(raw.shape) * camera.pixel_um * (1.0 + 1e-9) < least_um:
+        value = f"{_size(raw)} of {camera.pixel_um:g} um"
+        allowed = f"at least {least_um:g} um, 1/{PIXELS_PER_PITCH} of spacing_um"
+        yield Told(InputError(f"{shot.file}: size", value, allowed, "is pixel_um right? In um, not in mm"))
 
 
 def _of_place(shot: ImageShot, raw: Pixels) -> Iterator[Told]:

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from pydantic import ValidationError
 
 from luxloop.errors import InputError
 from luxloop.files import whole
@@ -23,9 +24,10 @@ from luxloop.words import parse
 from validation.dataset.folder import MAX_FILE_BYTES, write_sums
 from validation.dataset.foreign import is_image, read_foreign
 from validation.dataset.images import IMAGE_TYPES, MASK_TYPES, Pixels, write_tiff
-from validation.dataset.manifest import CameraFacts, Manifest
+from validation.dataset.manifest import CameraFacts, ImageShot, Manifest, Sample
 from validation.dataset.manifest_file import MANIFEST, to_toml
 from validation.dataset.sheet import DESIGN, FILES, SAMPLE, Row, Value
+from validation.writing import written
 
 ASKED_OF_CAMERA = ("pixel_um", "bit_depth", "gain_dn_per_e", "read_noise_e")
 SINGLE_SPACING_UM = 400.0
@@ -77,9 +79,11 @@ def import_folder(order: Order, into: Path) -> Manifest:
     """
     if into.exists() and (not into.is_dir() or any(into.iterdir())):
         raise InputError("--into", str(into), "a folder that does not exist, or is empty", "give another name")
+    refuse_options(order)
     _refuse_missing(order)
-    into.parent.mkdir(parents=True, exist_ok=True)
-    part = Path(tempfile.mkdtemp(prefix=f".{into.name}-", dir=into.parent))
+    with written("--into", into, "name a folder where you may write"):
+        into.parent.mkdir(parents=True, exist_ok=True)
+        part = Path(tempfile.mkdtemp(prefix=f".{into.name}-", dir=into.parent))
     try:
         manifest = _written(order, part)
         write_sums(part)
@@ -89,6 +93,20 @@ def import_folder(order: Order, into: Path) -> Manifest:
         shutil.rmtree(part, ignore_errors=True)
         raise
     return manifest
+
+
+def refuse_options(order: Order) -> None:
+    """InputError naming the first option that no data set may have, also where a table says otherwise for all."""
+    given = {name: value for name, value in (order.common | order.camera).items() if value is not None}
+    for words in (CameraFacts, Sample, ImageShot):
+        try:
+            words.model_validate({name: value for name, value in given.items() if name in words.model_fields})
+        except ValidationError as error:
+            for wrong in (one for one in error.errors() if one["loc"] and one["loc"][0] in given):
+                name = str(wrong["loc"][0])
+                allowed = wrong["msg"].removeprefix("Input should be ")
+                mend = words.model_fields[name].description or ""
+                raise InputError(option(name), wrong["input"], allowed, mend) from None
 
 
 def _refuse_missing(order: Order) -> None:
@@ -158,7 +176,12 @@ def _camera(order: Order) -> dict[str, Any]:
     """The camera's facts, with a remark where they were not said."""
     camera = {name: value for name, value in order.camera.items() if value is not None}
     if "black_level_dn" not in camera:
-        camera["black_level_dn"] = _black_level(order)
+        black_dn, full_dn = _black_level(order), 2.0 ** camera["bit_depth"] - 1.0
+        if black_dn >= full_dn:
+            value = f"{black_dn:g} DN, read from the dark, or the darkest 0.1 % of an image"
+            mend = "are the images saturated? Is --bit-depth right? Else give it"
+            raise InputError("--black-level-dn", value, f"below full scale, {full_dn:g} DN", mend)
+        camera["black_level_dn"] = black_dn
         order.remarks["camera.black_level_dn"] = f"{CHECK}: read from the dark, or the darkest 0.1 % of an image"
     parse(CameraFacts, {"full_well_e": 1.0} | camera, "import: camera")  # before anything is computed with it
     if "full_well_e" not in camera:

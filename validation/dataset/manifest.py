@@ -101,6 +101,9 @@ class Sample(Strict):
             raise InputError("rows, columns", (self.rows, self.columns), "1, 1 for a single", 'or layout = "array"')
         if self.layout == "array" and self.rows * self.columns == 1:
             raise InputError("rows, columns", (1, 1), "at least two chips for an array", 'or layout = "single"')
+        if self.layout == "array" and self.width_um >= self.spacing_um:
+            allowed = f"below the pitch spacing_um, {self.spacing_um:g} um"
+            raise InputError("width_um", self.width_um, allowed, "chips overlap: correct width_um or spacing_um")
         fitting = self if self.layout == "array" else self.model_copy(update={"spacing_um": 20_000.0})
         if reason := fitting.design.feasibility():
             raise InputError("distance_um", self.distance_um, "a module that can be built, D >= T + 5", reason)

@@ -16,6 +16,7 @@ from luxloop.effect import did_you_mean
 from luxloop.errors import InputError
 from luxloop.files import whole
 from validation.dataset.csv_lines import csv_lines
+from validation.writing import written
 
 DESIGN = ("distance_um", "width_um", "spacing_um", "thickness_um", "dbr_pairs")
 SAMPLE = ("layout", "rows", "columns", *DESIGN)
@@ -74,7 +75,11 @@ def write_sheet(path: Path, files: Iterable[str], known: Mapping[str, Value]) ->
     if path.exists():
         raise InputError("--write-table", str(path), "a file that does not exist", "give another name")
     rows = [{**known, "file": name} for name in files]
-    with whole(path) as fresh, fresh.open("w", newline="", encoding="utf-8") as file:
+    with (
+        written("--write-table", path, "name a file in a folder that is there, where you may write"),
+        whole(path) as fresh,
+        fresh.open("w", newline="", encoding="utf-8") as file,
+    ):
         writer = csv.DictWriter(file, COLUMNS)
         writer.writeheader()
         writer.writerows(rows)

@@ -9,6 +9,7 @@ draws many data sets from one run of Monte Carlo.
 from __future__ import annotations
 
 import json
+import shutil
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -57,6 +58,8 @@ POSES = 2
 MODEL_ERROR = 0.3
 """Of a far field, in its sigma: a truth with a larger error is seen by whoever compares it with the same model."""
 TRUTH, TRUTH_MODEL = "truth.toml", "truth-model.toml"
+PART = ".being-made"
+"""In the folder of a data set, while it is simulated."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -253,7 +256,9 @@ def simulate(
     )  # fmt: skip
     if not (images or wanted.quantities or far_field):
         raise InputError("--no-images", True, "--spectra or --far-field beside it", "something must be measured")
-    truth, folder = find_model(model), _empty(out)
+    _within("--shift-px", shift_px, pixels / 2.0, "half an image: more would show nothing of the sample")
+    _within("--rotation-deg", rotation_deg, 180.0, "half a turn")
+    truth = find_model(model)
     chosen = with_camera(
         paper_plan() if plan is None else read_plan(plan), pixel_um=pixel_um, prnu_percent=prnu_percent
     )
@@ -261,29 +266,29 @@ def simulate(
     show = sys.stderr.isatty() and not quiet
     settings = load_settings()
     usable_cache(settings)
-    with Client(settings, patience_s=PATIENCE_S) as client, _bar(len(views), show) as heard:
+    how = f"Monte Carlo, {histories:,} histories a sample" if solver == "monte_carlo" else "the deterministic twin"
+    by = f"Simulated by luxloop {__version__}" + (f": images by {how}." if images else ".")
+    name = _name(chosen, truth if keep_truth else None, seed, images or far_field)
+    with (
+        _being_made(out) as folder,
+        Client(settings, patience_s=PATIENCE_S) as client,
+        _bar(len(views), show) as heard,
+    ):
         how_made: dict[str, Any] = {"solver": solver, "histories": histories, "seed": seed, "heard": heard}
         expected = exposed(client, truth, views, chosen.camera, peak_share, **how_made) if images else []
         curves = expected_spectra(client, truth, chosen.films, wanted)
         curves += expected_far_fields(client, truth, chosen.samples, wanted, histories=histories, seed=seed)
-    how = f"Monte Carlo, {histories:,} histories a sample" if solver == "monte_carlo" else "the deterministic twin"
-    if keep_truth:
-        traced = {"histories": histories} if solver == "monte_carlo" else {}
-        _write_truth(folder, truth, expected, {"solver": solver, **traced, "seed": seed})
-    chosen = chosen.model_copy(
-        update={"name": _name(chosen, truth if keep_truth else None, seed, images or far_field)}
-    )
-    by = f"Simulated by luxloop {__version__}" + (f": images by {how}." if images else ".")
-    made = write_dataset(
-        folder, chosen, expected, seed=seed, frames=frames, notes=by,
-        curves=curves,
-    )  # fmt: skip
+        if keep_truth:
+            traced = {"histories": histories} if solver == "monte_carlo" else {}
+            _write_truth(folder, truth, expected, {"solver": solver, **traced, "seed": seed})
+        chosen = chosen.model_copy(update={"name": name})
+        made = write_dataset(folder, chosen, expected, seed=seed, frames=frames, notes=by, curves=curves)
     told = {
-        "folder": str(folder), "shots": [shot.id for shot in made.shots], "solver": solver,
+        "folder": str(out), "shots": [shot.id for shot in made.shots], "solver": solver,
         "histories": histories if solver == "monte_carlo" or far_field else None, "seed": seed,
         "truth_kept": keep_truth, "far_field_model_error": max((one.model_error for one in curves), default=0.0),
     }  # fmt: skip
-    typer.echo(json.dumps(told) if as_json else "\n".join(_told(folder, made, pixels, how, seed, curves)))
+    typer.echo(json.dumps(told) if as_json else "\n".join(_told(out, made, pixels, how, seed, curves)))
 
 
 def _name(plan: Plan, truth: Model | None, seed: int, modules: bool) -> str:
@@ -309,15 +314,35 @@ def _told(
     yield f"next: luxloop compare {folder}"
 
 
-def _empty(out: Path) -> Path:
-    """The folder, made where it is not there; InputError where it has something in it or cannot be made."""
+def _within(option: str, value: float, most: float, why: str) -> None:
+    """InputError for a standard deviation that is no number, below 0, or above `most`."""
+    if not 0.0 <= value <= most:
+        raise InputError(option, value, f"0 to {most:g}, {why}", "0 for none")
+
+
+@contextmanager
+def _being_made(out: Path) -> Iterator[Path]:
+    """Where to write what will be in the folder, which must be empty or not there yet; moved there when it is whole.
+
+    Raises InputError where it has something in it, cannot be made, or another command is making it.
+    """
+    part = out / PART
     try:
         out.mkdir(parents=True, exist_ok=True)
-        if any(out.iterdir()):
-            raise InputError("OUT", str(out), "an empty folder, or one that is not there yet", "name another one")
+        part.mkdir()
     except OSError as error:
-        raise InputError("OUT", str(out), "a folder that can be written", str(error.strerror)) from None
-    return out
+        mend = str(error.strerror)
+        if part.is_dir():
+            mend = f"another command is making it; if none does any more, remove {part}"
+        raise InputError("OUT", str(out), "a folder that can be written, by one command at a time", mend) from None
+    try:
+        if any(path != part for path in out.iterdir()):
+            raise InputError("OUT", str(out), "an empty folder, or one that is not there yet", "name another one")
+        yield part
+        for path in sorted(part.iterdir(), key=lambda path: path.name == MANIFEST):  # which makes it a data set
+            path.rename(out / path.name)
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
 
 
 def _write_truth(folder: Path, model: Model, expected: Sequence[Expected], how: dict[str, Any]) -> None:

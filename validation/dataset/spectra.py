@@ -227,6 +227,9 @@ def _wrong_unit(
             mend = f"{quantity} in percent? divide value and sigma by 100"
             yield InputError(f"{name}: value", f"up to {most:g}", f"{quantity} in [0, 1]", mend)
             return
+        if (largest := float(np.nanmax(sigma, initial=0.0))) > 1.0:
+            mend = "in percent? divide it by 100; remove rows that are not to be used"
+            yield InputError(f"{name}: sigma", f"up to {largest:g}", f"at most 1, as {quantity} is", mend)
         beyond = np.maximum(BEYOND_UNITY, 5.0 * np.nan_to_num(sigma))
     else:
         beyond = np.zeros(value.size)

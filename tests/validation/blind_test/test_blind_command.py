@@ -14,6 +14,7 @@ from luxloop.model_file import find_model
 from luxloop.settings import Settings
 from tests.validation.blind_test.pretend import answer, change, folder_of, hiding, record
 from tests.validation.test_loop import luxloop
+from validation import blind_command
 from validation.blind_test.folders import ANSWERS, SETS, model_of, read_index, write_whole
 from validation.blind_test.judging import chosen_model
 from validation.blind_test.making import Asked, begin, make
@@ -174,6 +175,21 @@ def test_a_file_is_written_whole_or_not_at_all(tmp_path: Path, monkeypatch: pyte
     with pytest.raises(KeyboardInterrupt):
         write_whole(tmp_path / "a.json", {"verdict": 2})
     assert json.loads((tmp_path / "a.json").read_text()) == {"verdict": 1}
+
+
+@pytest.mark.parametrize("silent", [False, True])
+def test_what_was_done_is_a_line_where_stderr_is_no_terminal(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, silent: bool
+) -> None:
+    """With its seconds, once it is done; nothing with --quiet or --json."""
+    clock = iter((0.0, 200.0, 451.6))
+    monkeypatch.setattr(blind_command, "monotonic", lambda: next(clock))
+    with blind_command.bar(silent) as heard:
+        heard(0, 1, "the light of truth 1")
+        heard(0, 1, "set-1")
+        heard(1, 1, "done")
+    lines = ["luxloop: the light of truth 1: 200 s; 0 of 1 done", "luxloop: set-1: 252 s; 1 of 1 done"]
+    assert capsys.readouterr().err.splitlines() == ([] if silent else lines)
 
 
 @pytest.mark.slow

@@ -1,0 +1,79 @@
+"""What a command of this room writes for a person: asked for before work begins, told by name where it fails."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from importlib.metadata import entry_points
+from pathlib import Path
+from tempfile import TemporaryFile
+from typing import Any
+
+import typer
+
+from luxloop.errors import InputError
+
+PAGES = (".html", ".png", ".svg", ".pdf")
+
+
+@contextmanager
+def written(field: str, path: Path, mend: str) -> Iterator[None]:
+    """InputError naming `field` and `path` where what is done inside cannot be written."""
+    try:
+        yield
+    except (OSError, ValueError) as error:  # ValueError: a name that no file can have
+        if isinstance(error, InputError):
+            raise
+        why = getattr(error, "strerror", None) or str(error)
+        raise InputError(field, str(path), "a place that can be written", f"{why}: {mend}") from error
+
+
+def view_of(name: str, page: Path) -> Callable[..., None]:
+    """What draws a document of that kind; InputError naming --page where it cannot be, or the page not written."""
+    if page.suffix not in PAGES:
+        raise InputError("--page", str(page), f"a name that ends with {', '.join(PAGES)}", "rename it")
+    if not page.parent.is_dir():
+        raise InputError("--page", str(page), "a file in a folder that is there", f"make {page.parent} first")
+    try:
+        _try_to_write(page)
+    except (OSError, ValueError) as error:
+        why = getattr(error, "strerror", None) or str(error)
+        mend = f"{why}: name one elsewhere, --page FOLDER/{page.name}"
+        raise InputError("--page", str(page), "a file that can be written", mend) from error
+    try:
+        (point,) = entry_points(group="luxloop.views", name=name)
+        draw: Callable[..., None] = point.load()
+    except (ImportError, ValueError) as error:  # ValueError: no view of that name
+        raise InputError(
+            "--page", str(page), "an installation with pictures", "pip install 'luxloop[viewer]'"
+        ) from error
+    return draw
+
+
+def drawn(
+    draw: Callable[..., None] | None, document: Any, arrays: Callable[[], Mapping[str, Any]], page: Path | None
+) -> None:
+    """Draw the page, where there is to be one, after all else was told: ends with 2 where it cannot be written.
+
+    That is told on stderr alone, for the one object of --json is on stdout by then.
+    """
+    if draw is None or page is None:
+        return
+    try:
+        draw(document, arrays(), page)
+    except OSError as error:
+        mend = f"{error.strerror or error}: all else is done; give it again with another --page"
+        typer.echo(f"luxloop: {InputError('--page', str(page), 'a file that can be written', mend)}", err=True)
+        raise typer.Exit(InputError.exit_code) from error
+
+
+def _try_to_write(file: Path) -> None:
+    """Raises OSError where that cannot be done; leaves what is there as it is. Rights alone do not tell."""
+    if file.exists():
+        os.close(os.open(file, os.O_WRONLY | os.O_NONBLOCK))  # a folder, and a pipe that nobody reads, are refused
+        if file.is_file():
+            TemporaryFile(dir=file.resolve().parent).close()  # the new one is written beside it first
+        return
+    file.touch(exist_ok=False)
+    file.unlink()
