@@ -122,7 +122,7 @@ def measured_images(dataset: Dataset, compare_pixel_um: float | None = None) -> 
     for shot in shots:
         raw = read_tiff(dataset.path(shot.file), shot.file).values
         if min(raw.shape) < factor:
-            allowed, mend = f"at least {factor} x {factor} pixels, one bin", "is pixel_um right? It is in um, not in mm"
+            allowed, mend = f"at least {factor} x {factor} pixels, one bin", "is pixel_um right, in um?"
             raise InputError(f"{shot.file}: size", raw.shape, allowed, mend)
         corrected_by = correction(raw.shape, shot.dark, shot.flat, shot.mask)
         images.append(_measured(dataset.manifest, shot, raw, corrected_by, factor))
