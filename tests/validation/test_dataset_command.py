@@ -108,8 +108,9 @@ def test_check_counts_the_guesses_that_still_stand(tmp_path: Path) -> None:
     assert "1 lines of dataset.toml still say 'check this'" in run("check", folder).output
 
 
-def test_show_tells_camera_samples_and_shots(tmp_path: Path) -> None:
+def test_show_tells_camera_samples_and_shots(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Counts, shares and signal to noise; one row a shot."""
+    monkeypatch.delenv("COLUMNS", raising=False)
     folder = write_dataset(tmp_path)
     shown = told("show", folder)
     single, array = shown["images"]
