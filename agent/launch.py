@@ -35,7 +35,7 @@ from luxloop.errors import InputError
 from luxloop.model import Model
 from luxloop.model_file import find_model, to_toml
 from luxloop.process import usable_cores
-from luxloop.settings import Settings, usable_cache, usable_runs
+from luxloop.settings import Settings, usable, usable_cache
 from luxloop.words import canonical, sha256_of
 
 SAY_LOST_S = 5.0
@@ -232,7 +232,7 @@ def refuse_taken_id(settings: Settings, name: str, local: bool) -> None:
         raise InputError("--id", name, allowed, "e.g. trial-2") from None
     folder = settings.runs_dir / name
     if local and not listening(settings.router):
-        usable_runs(settings)
+        usable(settings.runs_dir, "--runs", "name another folder by --runs or LUXLOOP_RUNS")
     if local and folder.exists():
         raise InputError(
             "--id", name, f"an id that {settings.runs_dir} does not hold", "take another, or leave it out"

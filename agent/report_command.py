@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import json
-import os
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from importlib.metadata import entry_points
 from pathlib import Path
-from tempfile import TemporaryFile
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from luxloop.errors import InputError
+from luxloop.files import try_to_write
 from luxloop.settings import Settings, load_settings, usable_cache
 
 if TYPE_CHECKING:
@@ -105,12 +104,7 @@ def check_page(page: Path) -> None:
         mend = f"for example {page.stem or 'report'}{ENDINGS[0]}"
         raise InputError("--out", str(page), "a name that ends with " + " or ".join(ENDINGS), mend)
     try:
-        if page.exists():
-            os.close(os.open(page, os.O_WRONLY | os.O_NONBLOCK))  # refuses a folder; changes nothing
-            TemporaryFile(dir=page.resolve().parent).close()  # the new one is written beside it first
-        else:
-            page.touch(exist_ok=False)
-            page.unlink()
+        try_to_write(page)
     except (OSError, ValueError) as error:  # ValueError: a name that no file can have
         why = getattr(error, "strerror", None) or str(error)
         raise InputError("--out", str(page), "a file that can be written, in a folder that exists", why) from error

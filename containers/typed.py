@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import math
-import os
 from pathlib import Path
-from tempfile import TemporaryFile
 
 from luxloop.errors import InputError
+from luxloop.files import try_to_write
 from luxloop.film import GRAZING_DEG, MAX_PLACES
 from luxloop.stack import MAX_K, MAX_LAYERS, MAX_N, MAX_NAME, MAX_ROUGHNESS_NM, MAX_THICKNESS_NM, Layer, Medium, Stack
 from luxloop.words import parse
@@ -163,18 +162,7 @@ def check_file(option: str, file: Path | None, endings: tuple[str, ...]) -> None
         mend = f"for example {file.stem or 'film'}{endings[0]}"
         raise InputError(option, str(file), "a name that ends with " + " or ".join(endings), mend)
     try:
-        _try_to_write(file)
+        try_to_write(file)
     except (OSError, ValueError) as error:  # ValueError: a name that no file can have
         why = getattr(error, "strerror", None) or str(error)
         raise InputError(option, str(file), "a file that can be written, in a folder that exists", why) from error
-
-
-def _try_to_write(file: Path) -> None:
-    """Raises OSError where that cannot be done; leaves what is there as it is. Rights alone do not tell."""
-    if file.exists():
-        os.close(os.open(file, os.O_WRONLY | os.O_NONBLOCK))  # a folder, and a pipe that nobody reads, are refused
-        if file.is_file():
-            TemporaryFile(dir=file.resolve().parent).close()  # the new one is written beside it first
-        return
-    file.touch(exist_ok=False)
-    file.unlink()

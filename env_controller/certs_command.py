@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from luxloop.endpoint import is_host
+from luxloop.endpoint import checked
 from luxloop.errors import InputError
 
 DAYS = 365
@@ -46,6 +46,9 @@ def certs(
 
 
 def _checked_host(host: str) -> str:
-    if not is_host(host):
-        raise InputError("host", host, "a name, an IPv4 or an IPv6 address", "e.g. --host pc1.lab --host 10.0.0.5")
+    try:
+        checked(f"tcp/[{host}]:1" if ":" in host else f"tcp/{host}:1")
+    except InputError:
+        mend = "e.g. --host pc1.lab --host 10.0.0.5"
+        raise InputError("host", host, "a name, an IPv4 or an IPv6 address", mend) from None
     return host

@@ -26,7 +26,7 @@ from env_controller import actions as a
 from env_controller.events import Command, Event
 from env_controller.rewards import reward_of
 from env_controller.trials import Lane, Run, Trial, film_task, ray_task
-from luxloop.campaign import Action, Plan, Step, figures_of
+from luxloop.campaign import Action, Plan, Step
 from luxloop.design import Design
 from luxloop.errors import InputError
 from luxloop.failure import Failure
@@ -279,3 +279,8 @@ class EnvironmentAgent:
         self._stories.setdefault(key, []).append(f"{at_s:.3f} {what}")
         while len(self._stories) > STORIES:
             self._stories.popitem(last=False)
+
+
+def figures_of(metrics: dict[str, Any]) -> dict[str, Any]:
+    """The metrics of a ray result that a step carries; of the uniformity its bias and truncation, too."""
+    return {name: metrics[name] for name in Step.FIGURES if name in metrics}

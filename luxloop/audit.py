@@ -8,11 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal, Protocol, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 if TYPE_CHECKING:
     from luxloop.campaign import Step
-    from luxloop.journal.reader import RunJournal
 
 Verdict = Literal["identical", "within tolerance", "differs", "not comparable"]
 VERDICTS: tuple[Verdict, ...] = get_args(Verdict)
@@ -71,12 +70,3 @@ class Place:
         self, what: str, verdict: Verdict, logged: Any = None, now: Any = None, why: str = "", z: float | None = None
     ) -> None:
         self.say(Compared(what, verdict, self.sequence, self.step, logged, now, why, z))
-
-
-class Auditor(Protocol):
-    """What an entry point names: looks through a journal and says what it compared.
-
-    `same_machine`: the packages and the processor that count are those of the record, so bits may be demanded.
-    """
-
-    def __call__(self, journal: RunJournal, say: Callable[[Compared], None], *, same_machine: bool) -> None: ...

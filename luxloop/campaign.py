@@ -262,8 +262,3 @@ class Ended(Words):
     records: int
     root: Sha256
     folder: Text
-
-
-def figures_of(metrics: dict[str, Any]) -> dict[str, Any]:
-    """The metrics of a ray result that a step carries; of the uniformity its bias and truncation, too."""
-    return {name: metrics[name] for name in Step.FIGURES if name in metrics}

@@ -66,11 +66,6 @@ def listening(endpoint: str) -> bool:
         return False
 
 
-def is_host(host: str) -> bool:
-    """Whether `host` is a name, an IPv4 address, or an IPv6 address without brackets."""
-    return _is_host(host, "") if ":" in host else _is_host(None, host)
-
-
 def _is_host(ipv6: str | None, name: str) -> bool:
     """Whether this is an IPv6 address, or a name or IPv4 address: what ends with a number must be an address."""
     try:

@@ -9,6 +9,7 @@ import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import Any
 
 from luxloop.errors import InputError
@@ -74,3 +75,11 @@ def whole(path: Path) -> Iterator[Path]:
         fresh.replace(path)
     finally:
         fresh.unlink(missing_ok=True)
+
+
+def try_to_write(path: Path) -> None:
+    """Raises OSError or ValueError where `whole` could not write; leaves what is there. Rights alone do not tell."""
+    if path.exists():
+        os.close(os.open(path, os.O_WRONLY | os.O_NONBLOCK))  # a folder, and a pipe that nobody reads, are refused
+    if path.is_file() or not path.exists():
+        TemporaryFile(dir=Path(os.path.realpath(path)).parent).close()  # the new one is written beside it first

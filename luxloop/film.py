@@ -53,7 +53,10 @@ class Grid(Words):
     shared_nodes: int = Field(181, ge=3, le=10_001, description="Uniform in the angle of the less dense side.")
     dense_nodes: int = Field(120, ge=2, le=10_001, description="Beyond it, on the denser side.")
     tolerance_ratio: float = Field(
-        1e-3, ge=1e-6, le=1.0, description="Error of T and R, line average of one polarisation, that is refined."
+        1e-3,
+        ge=1e-6,
+        le=1.0,
+        description="Error of T and R, line average of one polarisation; above it, refine.",
     )
 
     @model_validator(mode="after")

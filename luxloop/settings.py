@@ -128,15 +128,11 @@ def usable_cache(settings: Settings) -> Path:
     Raises InputError naming LUXLOOP_CACHE, the folder and what is wrong with it. A command asks before it starts
     anything: found out by a worker, the same would end as "no worker came".
     """
-    return _usable(settings.cache_dir, "LUXLOOP_CACHE", "set LUXLOOP_CACHE to another folder")
+    return usable(settings.cache_dir, "LUXLOOP_CACHE", "set LUXLOOP_CACHE to another folder")
 
 
-def usable_runs(settings: Settings) -> Path:
-    """The folder of runs, likewise: for who is about to start a controller of its own."""
-    return _usable(settings.runs_dir, "--runs", "name another folder by --runs or LUXLOOP_RUNS")
-
-
-def _usable(folder: Path, field: str, mend: str) -> Path:
+def usable(folder: Path, field: str, mend: str) -> Path:
+    """A folder, made where it was not there, after a file could be written into it; else InputError by `field`."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder) as probe:

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from importlib.metadata import entry_points
 from pathlib import Path
-from tempfile import TemporaryFile
 from typing import Any
 
 import typer
 
 from luxloop.errors import InputError
+from luxloop.files import try_to_write
 
 PAGES = (".html", ".png", ".svg", ".pdf")
 
@@ -36,7 +35,7 @@ def view_of(name: str, page: Path) -> Callable[..., None]:
     if not page.parent.is_dir():
         raise InputError("--page", str(page), "a file in a folder that is there", f"make {page.parent} first")
     try:
-        _try_to_write(page)
+        try_to_write(page)
     except (OSError, ValueError) as error:
         why = getattr(error, "strerror", None) or str(error)
         mend = f"{why}: name one elsewhere, --page FOLDER/{page.name}"
@@ -66,14 +65,3 @@ def drawn(
         mend = f"{error.strerror or error}: all else is done; give it again with another --page"
         typer.echo(f"luxloop: {InputError('--page', str(page), 'a file that can be written', mend)}", err=True)
         raise typer.Exit(InputError.exit_code) from error
-
-
-def _try_to_write(file: Path) -> None:
-    """Raises OSError where that cannot be done; leaves what is there as it is. Rights alone do not tell."""
-    if file.exists():
-        os.close(os.open(file, os.O_WRONLY | os.O_NONBLOCK))  # a folder, and a pipe that nobody reads, are refused
-        if file.is_file():
-            TemporaryFile(dir=file.resolve().parent).close()  # the new one is written beside it first
-        return
-    file.touch(exist_ok=False)
-    file.unlink()

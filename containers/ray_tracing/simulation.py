@@ -35,9 +35,9 @@ from luxloop.ray import Module, RayRequest
 TOLD_TRUNCATION = 0.003
 """Of U: a bound on what the modes left out do to it that is worth a warning."""
 DIRECTION_BINS = (128, 64)
-MOST_TWIN_HISTORIES = 10_000_000
-"""Whose exits, 23 bytes each, are in memory at once."""
 """Of the far field: cosine of theta over the whole sphere, azimuth."""
+MOST_TWIN_HISTORIES = 10_000_000
+"""Whose exits, 23 bytes a history, are in memory at once."""
 
 
 def simulate(

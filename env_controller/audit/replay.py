@@ -17,11 +17,11 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from env_controller.audit import checks, scores
 from env_controller.audit.machine import other_bits
-from luxloop.audit import VERDICTS, Auditor, Compared, Verdict
+from luxloop.audit import VERDICTS, Compared, Verdict
 from luxloop.journal.reader import RunJournal
 
 SAME, FAILED, DIFFERS, BROKEN = 0, 1, 4, 5
@@ -29,6 +29,15 @@ SAME, FAILED, DIFFERS, BROKEN = 0, 1, 4, 5
 KEPT = 1000  # differences of which the first are shown
 SHOWN = 10
 Document = dict[str, Any]
+
+
+class Auditor(Protocol):
+    """What an entry point names: looks through a journal and says what it compared.
+
+    `same_machine`: the packages and the processor that count are those of the record, so bits may be demanded.
+    """
+
+    def __call__(self, journal: RunJournal, say: Callable[[Compared], None], *, same_machine: bool) -> None: ...
 
 
 @dataclass

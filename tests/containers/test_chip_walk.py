@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy import stats
+from scipy.special import expn
 
 from containers.bsdf import Fresnel, GaussianLobe, Lambertian, Mirror, Mixture
 from containers.ray_tracing.arrays import AFTER_TOP, CONES, ENDS, FROM_SIDES, PATH, THROUGH_TOP, UNFOLD
@@ -111,6 +112,22 @@ def test_what_a_lossy_top_takes_has_been_dimmed_on_the_way_to_it(R: float) -> No
     for end in ("chip", "dbr"):
         place = ENDS.index(end)
         assert unfolded[place] == pytest.approx(plain[place], abs=4.5 * np.sqrt(0.5 / count)), end
+
+
+@pytest.mark.parametrize("unfold", [True, False])
+def test_what_a_black_film_takes_is_an_exponential_integral(unfold: bool) -> None:
+    """Light of a thin layer at height z between a film and a bottom that take all, beside sides that pass none:
+
+    the film's end is E2(a (T - z)) / 2, the bottom's E2(a z) / 2, the rest is the chip's.
+    """
+    alpha, depth, count = 0.02, 0.7, 60_000
+    black = taking(0.0, 0.0, beyond=0.0)
+    changes = {"top": black, "sides": taking(1.0, 0.0), "bottom": "mirror", "mirror": Mirror(0.0)}
+    of = scene({**changes, "absorption_per_um": alpha}, emission=Emission(layer_depth=depth))
+    _, ledger, _ = exits_of(of, unfold=unfold, count=count, sobol=False)
+    film, bottom = (expn(2, alpha * TOP * share) / 2.0 for share in (1.0 - depth, depth))
+    for end, expected in (("dbr", film), ("substrate", bottom), ("chip", 1.0 - film - bottom)):
+        assert ledger[ENDS.index(end)] == pytest.approx(expected, abs=4.5 * np.sqrt(0.25 / count)), end
 
 
 @pytest.mark.parametrize("intensity", [(1.0, 1.0, 1.0), (2.0, 1.0, 2.0), (0.5, 1.0, 3.0)])

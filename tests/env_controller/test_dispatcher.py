@@ -9,7 +9,7 @@ import pytest
 from env_controller.actions import Want
 from env_controller.dispatcher import ORPHAN_S, Dispatcher
 from luxloop import __version__
-from luxloop.bus import Asked, Event, Heard, Presence
+from luxloop.bus import Event, Heard, Presence
 from luxloop.bus.frame import HEADER_BYTES, decode, encode
 from luxloop.bus.keys import HOLD_S, at
 from luxloop.campaign import LIMIT_S
@@ -38,23 +38,11 @@ from luxloop.messages import (
 )
 from luxloop.settings import Settings
 from luxloop.words import Words
+from tests.env_controller.desk import Question
 from tests.local_bus import LocalBus, LocalRouter
 
 TASK = Task(kind="film", inputs={"pairs": 4.5}, version=__version__)
 OTHER = Task(kind="film", inputs={"pairs": 5.0}, version=__version__)
-
-
-class Question:
-    """A question that was put, and what was answered; `message` is None while it is held open."""
-
-    def __init__(self, key: str, frame: bytes) -> None:
-        self.frames: list[bytes] = []
-        self.asked = Asked(key, frame, self.frames.append, lambda: None)
-
-    @property
-    def message(self) -> Words | None:
-        assert len(self.frames) <= 1, "answered twice"
-        return decode(self.frames[0]).message if self.frames else None
 
 
 class Desk:

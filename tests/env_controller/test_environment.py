@@ -11,23 +11,18 @@ from env_controller.environment import EnvironmentAgent
 from env_controller.events import Command
 from env_controller.rewards import reward_of
 from env_controller.trials import Past, film_task
-from luxloop.campaign import Action, Fidelity, Move, Plan, Step
+from luxloop.campaign import Action, Move, Plan, Step
 from luxloop.design import Bounds, Design
 from luxloop.errors import InputError
 from luxloop.failure import Failure
-from luxloop.model import Environment
 from luxloop.ray import Film
-
-DESIGN = Design.from_vector((150.0, 30.0, 500.0, 20.0, 5.5))
+from tests.env_controller.desk import DESIGN
+from tests.env_controller.desk import plan as campaign
 
 
 def plan(run: str = "one", **changes: Any) -> Plan:
-    """A campaign on the bounds of Table 3."""
-    given: dict[str, Any] = {
-        "run": run, "environment": Environment(), "bounds": Bounds.preset("paper-table3"), "lanes": 4,
-        "walk": Fidelity(target_error_points=1.0), "final": Fidelity(target_error_points=0.3),
-    }  # fmt: skip
-    return Plan(**(given | changes))
+    """A campaign of four lanes."""
+    return campaign(run, **({"lanes": 4} | changes))
 
 
 class Story:
