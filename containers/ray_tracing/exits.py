@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from containers.bsdf import Lambertian
 from containers.ray_tracing.arrays import ENDS, TRACE
 from containers.ray_tracing.kernel import EXIT, exits_of_group, land_group, scratch
-from containers.ray_tracing.monte_carlo import BLOCK, SURVIVAL
+from containers.ray_tracing.monte_carlo import BLOCK, survival_of
 from containers.ray_tracing.packing import emission_arrays, scene_arrays
 from containers.ray_tracing.sobol import DIRECTIONS
 from containers.ray_tracing.tally import GROUPS, Tally
@@ -184,7 +184,7 @@ class Landing:
         seed: int,
         *,
         groups: int = GROUPS,
-        survival: float = SURVIVAL,
+        survival: float | None = None,
         fan: int = FAN,
         threads: int | None = None,
         direction_bins: tuple[int, int] = (0, 0),
@@ -195,7 +195,7 @@ class Landing:
         self._exits_at = exits if callable(exits) else lambda _: exits
         self.tally = Tally.empty(scene, groups if callable(exits) else exits.ends.shape[0], direction_bins)
         self._arrays, self._emission = scene_arrays(scene), emission_arrays(scene)
-        self._survival, self._fan = survival, fan
+        self._survival, self._fan = survival_of(scene) if survival is None else survival, fan
         self._threads = threads or usable_cores()
 
     def run_to(self, histories: int, report: Callable[[float], None] | None = None) -> Tally:

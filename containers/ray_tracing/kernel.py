@@ -26,6 +26,7 @@ Real = NDArray[np.float64]
 EVENT_OF_EXIT, WAVE_OF_EXIT, WEIGHT_OF_EXIT, EXIT = 6, 7, 8, 9
 """A stored exit: position relative to the chip (um), direction, optical event, number of the wavelength, weight."""
 _SOBOL_KEY = np.uint64(0xFFFFFFFF)
+_GOLDEN, _ELEVEN = np.uint64(0x9E3779B97F4A7C15), np.uint64(11)
 
 
 class Scratch(NamedTuple):
@@ -136,9 +137,11 @@ def land_group(
     `weights` (n,): factor on each exit's weight where the chip is another than the one it comes from; (0,): none.
     """
     stream, ray, trace, _, _ = scratch
+    start(stream, seed, np.uint64(group))
+    shift, _, _, _ = draw(stream, CHIP, 0)
     for number in range(rays.shape[0]):
         start(stream, seed, np.uint64(first + number) * np.uint64(groups) + np.uint64(group))
-        wave = take_exit(emission, rays, weights, number, stream, ray)
+        wave = take_exit(emission, rays, weights, number, _in_turn(np.uint64(first + number), shift), ray)
         path = clear_way(scene, ray)
         leave_chip(ray, sinks)
         if path > 0.0:
@@ -156,18 +159,15 @@ def take_exit(
     rays: NDArray[np.float32],
     weights: NDArray[np.float32],
     number: int,
-    stream: Stream,
+    u: float,
     ray: Real,
 ) -> int:
-    """Put a stored exit into `ray`, position relative to the chip that it is given; the number of its wavelength."""
+    """Put a stored exit into `ray`, position relative to the chip that `u` chooses; the number of its wavelength."""
     for i in range(EVENT_OF_EXIT):
         ray[i] = rays[number, i]
     ray[of.EVENT] = rays[number, EVENT_OF_EXIT]
     length = 1.0 / sqrt(ray[of.DX] * ray[of.DX] + ray[of.DY] * ray[of.DY] + ray[of.DZ] * ray[of.DZ])
     ray[of.DX], ray[of.DY], ray[of.DZ] = ray[of.DX] * length, ray[of.DY] * length, ray[of.DZ] * length
-    u = 0.0
-    if emission.chip_cumulative.size > 1:
-        u, _, _, _ = draw(stream, CHIP, 0)
     _choose_chip(emission, u, ray)
     ray[of.WEIGHT] = rays[number, WEIGHT_OF_EXIT] * (weights[number] if weights.size > 0 else 1.0)
     return int(rays[number, WAVE_OF_EXIT])
@@ -219,13 +219,13 @@ def emit(
         point(directions, np.uint64(place), keys, uniforms)
     else:
         uniforms[0], uniforms[1], uniforms[2], uniforms[3] = a, b, c, d
-        uniforms[4], _, _, _ = draw(stream, EMISSION, 1)
-    choose, other, _, _ = draw(stream, CHIP, 0)
+        uniforms[4], uniforms[5], _, _ = draw(stream, EMISSION, 1)
+    choose, _, _, _ = draw(stream, CHIP, 0)
     wave = 0
     while wave < emission.wave_cumulative.size - 1 and choose >= emission.wave_cumulative[wave]:
         wave += 1
     _place(scene, emission, uniforms, ray)
-    _choose_chip(emission, other, ray)
+    _choose_chip(emission, uniforms[5], ray)
     ray[of.WEIGHT], ray[of.EVENT] = 1.0, float(of.THROUGH_TOP)
     ledger[of.EMITTED] += 1.0
     if scene.flags[of.CONES]:
@@ -306,6 +306,13 @@ def _choose_chip(emission: EmissionArrays, u: float, ray: Real) -> None:
     while chip < emission.chip_cumulative.size - 1 and u >= emission.chip_cumulative[chip]:
         chip += 1
     ray[of.CHIP_X], ray[of.CHIP_Y] = emission.centres_um[chip, 0], emission.centres_um[chip, 1]
+
+
+@inlined_kernel
+def _in_turn(number: np.uint64, shift: float) -> float:
+    """Multiples of the golden section, mod 1: any run of numbers gives each chip its share, but for one or two."""
+    u = shift + float((number * _GOLDEN) >> _ELEVEN) * 2.0**-53
+    return u - 1.0 if u >= 1.0 else u
 
 
 @inlined_kernel

@@ -1,6 +1,6 @@
-"""Scrambled Sobol points in five dimensions: where and whereto a history begins.
+"""Scrambled Sobol points in six dimensions: where, whereto and in which chip a history begins.
 
-Joe and Kuo's direction numbers (new-joe-kuo-6.21201, first five dimensions); Owen's nested uniform scrambling by the
+Joe and Kuo's direction numbers (new-joe-kuo-6.21201, first six dimensions); Owen's nested uniform scrambling by the
 hash of Laine and Karras as improved by Vegdahl (Burley, JCGT 9(4), 2020), keyed by seed, group and dimension. Each
 scramble is an unbiased sample, different scrambles are independent: errors come from the spread between groups.
 """
@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from containers.compiled import inlined_kernel
 
-DIMENSIONS = 5
+DIMENSIONS = 6
 _BITS = 32
-_JOE_KUO = ((1, 0, (1,)), (2, 1, (1, 3)), (3, 1, (1, 3, 1)), (3, 2, (1, 1, 1)))
-"""Degree, coefficients of the polynomial, first direction numbers of dimensions 2 to 5."""
+_JOE_KUO = ((1, 0, (1,)), (2, 1, (1, 3)), (3, 1, (1, 3, 1)), (3, 2, (1, 1, 1)), (4, 1, (1, 1, 3, 3)))
+"""Degree, coefficients of the polynomial, first direction numbers of dimensions 2 to 6."""
 _MASK = np.uint64(0xFFFFFFFF)
 _ONE = np.uint64(1)
 

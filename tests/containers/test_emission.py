@@ -97,6 +97,16 @@ def test_chips_and_wavelengths_come_in_proportion() -> None:
     assert np.all(rays[:, CHIP_Y] == 0.0)
 
 
+def test_each_chip_and_each_part_of_it_gets_its_share_of_the_light() -> None:
+    """256 chips, quarters of each: exactly as many of a power of two of points in each; by chance, +- 2.8."""
+    rays, _ = born(scene(layout=Array.regular(16, 16, 300.0)))
+    chip = np.round(rays[:, CHIP_X] / 300.0 + 7.5) + 16 * np.round(rays[:, CHIP_Y] / 300.0 + 7.5)
+    quarter = 2 * (rays[:, X] > 0.0) + (rays[:, Y] > 0.0)
+    assert np.array_equal(np.bincount(chip.astype(int), minlength=256), np.full(256, DRAWS // 256))
+    counts = np.bincount((4 * chip + quarter).astype(int), minlength=1024)
+    assert counts.var() < 0.7 * DRAWS / 1024
+
+
 def test_quantiles_are_those_of_a_density_that_is_linear_in_between() -> None:
     """A triangle from 0 to 2: F = x^2 / 4 exactly; a gap where the density is 0 is crossed."""
     steps = np.linspace(0.0, 1.0, quantiles(np.array([0.0, 2.0]), np.array([0.0, 1.0])).size)

@@ -15,7 +15,7 @@ from containers.ray_tracing.monte_carlo import BLOCK, MonteCarlo
 from containers.ray_tracing.tally import Tally
 from containers.scene import Array, Cell, Emission, Receiver, Scene, lambertian_receiver
 from luxloop.errors import InputError
-from tests.ray_scenes import bare, film_face, illuminance, mean_and_error, mode, scene, with_chip
+from tests.ray_scenes import bare, film_face, illuminance, launched, mean_and_error, mode, scene, with_chip
 
 GROUPS = 32
 MODES = [(0, 0), (1, 0), (1, 1), (2, 0)]
@@ -49,6 +49,20 @@ def agree(a: Tally, b: Tally, most: float = 4.0) -> None:
     for ours, theirs in pairs:
         (x, e), (y, f) = mean_and_error(ours), mean_and_error(theirs)
         assert abs(x - y) <= most * np.hypot(e, f) + 1e-9, (x, y, e, f)
+
+
+def test_stored_exits_give_each_chip_its_share() -> None:
+    """Light straight up from chips of powers 1, 2, 3: the counts on the receiver are right to two, group by group."""
+    of = scene(
+        layout=replace(Array.regular(1, 3, 300.0), power=np.array([[1.0, 2.0, 3.0]])),
+        receiver=Receiver(Lambertian(0.0)),
+    )
+    tally = launched(of, np.tile([0.0, 0.0, 40.0], (6000, 1)), [0.0, 0.0, 1.0], groups=4)
+    bins = tally.cell_bins().sum(axis=1)
+    x_um = tally.box.x0_um + (np.arange(bins.shape[1]) + 0.5) * tally.box.step_um
+    for group in bins:
+        counts = [group[np.abs(x_um - at) < 100.0].sum() for at in (-300.0, 0.0, 300.0)]
+        assert counts == pytest.approx([250.0, 500.0, 750.0], abs=2.0)
 
 
 def test_a_smaller_set_is_the_beginning_of_a_larger_one() -> None:

@@ -66,12 +66,12 @@ def test_every_scramble_keeps_the_net_in_the_plane() -> None:
             assert len({tuple(cell) for cell in cells}) == 256
 
 
-def test_a_scramble_is_as_even_in_five_dimensions_as_the_sequence_itself() -> None:
-    """Scrambling moves points within elementary intervals only: the same number in each of 32 boxes."""
+def test_a_scramble_is_as_even_in_six_dimensions_as_the_sequence_itself() -> None:
+    """Scrambling moves points within elementary intervals only: the same number in each of 64 boxes."""
     of_plain, of_scrambled = plain(1024), scrambled(1024, group=3)
     for points in (of_plain, of_scrambled):
-        boxes = np.floor(points * 2).astype(int) @ 2 ** np.arange(5)
-        assert np.array_equal(np.bincount(boxes, minlength=32), np.full(32, 32))
+        boxes = np.floor(points * 2).astype(int) @ 2 ** np.arange(6)
+        assert np.array_equal(np.bincount(boxes, minlength=64), np.full(64, 16))
 
 
 def test_the_number_of_a_point_decides_it() -> None:

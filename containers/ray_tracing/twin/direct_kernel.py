@@ -96,7 +96,7 @@ def land_direct(
     scene = way.scene
     for number in range(rays.shape[0]):
         start(stream, seed, np.uint64(first + number) * np.uint64(groups) + np.uint64(group))
-        wave = take_exit(emission, rays, weights, number, stream, ray)
+        wave = take_exit(emission, rays, weights, number, 0.0, ray)
         path = clear_way(scene, ray)
         ray[X] += ray[CHIP_X] + path * ray[DX]
         ray[Y] += ray[CHIP_Y] + path * ray[DY]
