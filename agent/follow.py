@@ -35,7 +35,7 @@ from luxloop.errors import InputError, RemoteError
 from luxloop.journal.reader import RunJournal, left_over, segments_of
 from luxloop.journal.scan import Scan
 from luxloop.journal.segment import being_written
-from luxloop.journal.topics import Close, Record
+from luxloop.journal.topics import VALIDATION, Close, Record
 from luxloop.messages import Replayed
 from luxloop.settings import Settings
 
@@ -267,7 +267,8 @@ class Writer:
 def status_line(row: dict[str, Any]) -> str:
     """How a run stands, in a line."""
     why = f" ({row['reason']})" if row["reason"] else ""
-    mend = f"; to go on: {row['mend']}" if row["mend"] else ""
+    what = "to do it again" if row["kind"] == VALIDATION else "to go on"
+    mend = f"; {what}: {row['mend']}" if row["mend"] else ""
     return f"{row['run']}: {row['state']}{why}, {row['steps']:,} steps, best {line(row['best'])}{mend}"
 
 

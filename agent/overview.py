@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import json
+import shlex
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from agent.in_words import plain
 from luxloop.journal.reader import RunJournal
+from luxloop.journal.topics import VALIDATION
 
 RUNNING, OVER, STOPPED, KILLED = "running", "ended", "interrupted", "killed"
 
@@ -30,7 +34,7 @@ def overview(folder: Path) -> dict[str, Any]:
         "model": facts.get("model", ""),
         "state": state,
         "reason": reason,
-        "mend": f"luxloop campaign resume {folder.name}" if state in (STOPPED, KILLED) else "",
+        "mend": _mend(facts, folder) if state in (STOPPED, KILLED) else "",
         "running": state == RUNNING,
         "finished": state == OVER,
         "steps": len(steps),
@@ -40,6 +44,14 @@ def overview(folder: Path) -> dict[str, Any]:
         "start": plain(start),
         "best": plain(best),
     }
+
+
+def _mend(facts: Mapping[str, str], folder: Path) -> str:
+    """The command that goes on with a campaign or a grid; no other run can be gone on with: its own, given again."""
+    if facts.get("kind") != VALIDATION:
+        return f"luxloop campaign resume {folder.name}"
+    argv = json.loads(facts.get("facts") or "{}").get("argv", ())
+    return shlex.join(["luxloop", *map(str, argv)]) if argv else ""
 
 
 def state_of(journal: RunJournal) -> tuple[str, str]:

@@ -29,6 +29,8 @@ Real = NDArray[np.float64]
 
 DIRECTIONS = 401
 """Cosines at least, where an intensity is multiplied: a parabola is then met to 1e-5 of its rise."""
+LEAST_INDEX, MOST_INDEX = 2.0**0.5, 10.0
+"""Of a chip: unfolding needs n^2 of at least 2."""
 CLEARANCE_UM = 1e-3
 """Chips must end this far below the receiver, and this far from each other."""
 
@@ -60,7 +62,7 @@ class Chip:
         within("width_um", self.width_um, 0.0, 1e5, "the side of the chip", above=True)
         within("thickness_um", self.thickness_um, 0.0, 1e5, "the height of the chip", above=True)
         within("absorption_per_um", self.absorption_per_um, 0.0, 1e3, "1 /cm is 1e-4 /um")
-        index = within("index", self.index, 2.0**0.5, 10.0, "unfolding needs n^2 of at least 2")
+        index = within("index", self.index, LEAST_INDEX, MOST_INDEX, "unfolding needs n^2 of at least 2")
         if index.ndim != 1 or not index.size:
             raise InputError("index", index.shape, "one number per wavelength")
         if (self.bottom == "mirror") != (self.mirror is not None):

@@ -1,13 +1,14 @@
 #!/usr/bin/env bash
 # Checks docker-compose.yml from nothing, as a fresh clone would have it, and prints what it saw:
-#   docker/check.sh           in a copy of the work tree, as a project of its own, removed at the end
+#   docker/check.sh           in a copy of the work tree, as a project of its own, removed at the end with its images,
+#                             which have the tag check: those of `docker compose up` stay as they are
 #   docker/check.sh --cold    first drops the engine's whole build cache, so that the first build is a cold one
 # The build takes its settings from the environment: BASE_IMAGE, TORCH_INDEX, PIP_INDEX_URL, PIP_NO_INDEX (see
 # docs/docker.md), and wheels from docker/wheels/. Needs a Docker engine, git, and a user who may use it; takes minutes.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 clone=$(mktemp -d)
-export COMPOSE_PROJECT_NAME=luxloop-check BUILDKIT_PROGRESS=quiet COMPOSE_ANSI=never
+export COMPOSE_PROJECT_NAME=luxloop-check IMAGE_TAG=check BUILDKIT_PROGRESS=quiet COMPOSE_ANSI=never
 GID=$(id -g)
 [ "$(id -u)" = 0 ] || export UID GID
 
@@ -31,7 +32,7 @@ size() { docker image inspect --format '{{.Size}}' "$1" | megabytes; }
 memory() { docker stats --no-stream --format '{{.Name}} {{.MemUsage}}' $(docker compose ps -q) |
   sed "s/^$COMPOSE_PROJECT_NAME-//" | sort | while read -r name used; do say "memory of $name" "$used"; done; }
 leave() {
-  docker compose down --volumes --timeout 20 >/dev/null 2>&1 || true
+  docker compose down --volumes --rmi all --timeout 20 >/dev/null 2>&1 || true
   rm -rf "$clone"
 }
 trap leave EXIT
@@ -51,7 +52,7 @@ timed "first build" docker compose build
 timed "nothing changed" docker compose build
 echo "# a change" >>agent/launch.py
 timed "a file of agent/ changed" docker compose build
-for image in core workers designer; do say "size of luxloop-$image" "$(size luxloop-$image)"; done
+for image in core workers designer; do say "size of luxloop-$image" "$(size luxloop-$image:$IMAGE_TAG)"; done
 say "of which the base image" "$(size "${BASE_IMAGE:-python:3.11-slim}")"
 
 heading "docker compose up, on empty volumes"

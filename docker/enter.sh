@@ -7,6 +7,10 @@ refuse() { # folder, its name on the host, mend
   exit 2
 }
 
+if [ "${RAY_WORKERS:-1}" = 0 ]; then # the campaign would wait for one without a word
+  echo "luxloop: RAY_WORKERS is 0, allowed: 1 or more, for campaigns wait for a ray worker; leave it out for 1" >&2
+  exit 2
+fi
 if [ -n "${LUXLOOP_RUNS:-}" ] && [ ! -w "$LUXLOOP_RUNS" ]; then
   if [ "$(stat -c %u "$LUXLOOP_RUNS")" = 0 ]; then # not to be mended by containers that run as root
     refuse "$LUXLOOP_RUNS" ./runs "on the host, chown $(id -u):$(id -g) runs effects"

@@ -99,7 +99,7 @@ class RunDoor:
             code="worker_lost",
             message=printable(f"the controller ended, and the run {self.run!r} with it ({why}); every step that was"
                               f" told is safe in {self.begun.folder}"),
-            mend=f"luxloop campaign resume {self.run}",
+            mend="run it again" if self._begin.plan.kind == "validation" else f"luxloop campaign resume {self.run}",
         )  # fmt: skip
 
     def note(self, **what: Any) -> None:

@@ -16,7 +16,8 @@ from luxloop.errors import InputError
 
 MAX_BYTES = 1 << 20
 COMMA, COMMA_MEND = re.compile(r"=\s*\d+,\d+\s*(#|$)"), "write decimals with a point"
-TOO_LARGE = re.compile(r"""[\da-fA-F_]{1000,}|([\[{][^\[\]{}]*){100}|(?<![\w"'-])([\w"'-]+\s*\.\s*){100}""")
+TOO_LARGE = re.compile(r"[\da-fA-F_]{1000,}|([\[{][^\[\]{}]*){100}")
+TOO_DEEP = re.compile(r"""(?m)(^|[\[{,])[ \t]*(("(\\.|[^"\\\n])*"|'[^'\n]*'|[\w-]+)[ \t]*\.[ \t]*){100}""")
 TOO_LARGE_MEND = "a number has at most 4,300 digits; brackets, and names by dots, nest a hundredfold at most"
 
 
@@ -46,11 +47,12 @@ def text_of(raw: bytes, where: str) -> str:
 def toml_of(text: str, where: str) -> dict[str, Any]:
     """The tables of a TOML text. Raises InputError naming the line; `where` is the file's name and leads it."""
     try:
-        data = tomllib.loads(text)
-        repr(data)  # a number in hex may be too long, and tables by dots may nest too deeply, to be told of
+        if deep := TOO_DEEP.search(text):  # tomllib would read it for minutes
+            raise RecursionError
+        repr(data := tomllib.loads(text))  # a number in hex may be too long to be told of
         return data
     except (ValueError, RecursionError) as error:
-        told, large = re.search(r"line (\d+)", str(error)), TOO_LARGE.search(text)
+        told, large = re.search(r"line (\d+)", str(error)), deep or TOO_LARGE.search(text)
         number = int(told[1]) if told else text.count("\n", 0, large.start() if large else None) + 1
         line = [*text.split("\n"), ""][number - 1]
         mend = COMMA_MEND if COMMA.search(line) else TOO_LARGE_MEND if large and not told else str(error)
@@ -67,7 +69,7 @@ def whole(path: Path) -> Iterator[Path]:
     if path.exists() and not path.is_file():
         yield path
         return
-    fresh = path.with_name(f".whole-{os.getpid()}{path.suffix}")
+    fresh = path.with_name(f".whole-{os.getpid()}-{os.urandom(6).hex()}{path.suffix}")
     try:
         yield fresh
         if path.exists():

@@ -8,30 +8,27 @@ from pathlib import Path
 from typing import Any, Self
 
 from pydantic import Field, ValidationError, ValidationInfo, field_validator, model_validator
-from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict, TomlConfigSettingsSource
+from pydantic_settings import BaseSettings, InitSettingsSource, PydanticBaseSettingsSource, SettingsConfigDict
 
 from luxloop.endpoint import checked, fits
 from luxloop.errors import InputError
+from luxloop.files import read_text, toml_of
 from luxloop.words import as_input_error
 
 DEFAULT_ROUTER = "tcp/127.0.0.1:7447"
 DEFAULT_SECURED = "tls/127.0.0.1:7447"
 BEATS_IN_SILENCE = 3.0  # a beat may be late, and one may be lost
 PROBE_BYTES = 1 << 16
+FILE = Path("luxloop.toml")
 
 
 class Settings(BaseSettings):
     """Where the router is, where things are kept, how patient this process is."""
 
     model_config = SettingsConfigDict(
-        env_prefix="LUXLOOP_",
-        env_ignore_empty=True,
-        toml_file="luxloop.toml",
-        extra="forbid",
-        frozen=True,
-        validate_default=True,
+        env_prefix="LUXLOOP_", env_ignore_empty=True, extra="forbid", frozen=True, validate_default=True,
         allow_inf_nan=False,
-    )
+    )  # fmt: skip
 
     router: str = Field(DEFAULT_ROUTER, description="endpoint of the router")
     certs: Path | None = Field(None, description="folder of certificates (luxloop certs); none: plain tcp")
@@ -109,7 +106,8 @@ class Settings(BaseSettings):
         dotenv_settings: PydanticBaseSettingsSource,  # noqa: ARG003  no dotenv file is read
         file_secret_settings: PydanticBaseSettingsSource,  # noqa: ARG003  nor a folder of secrets
     ) -> tuple[PydanticBaseSettingsSource, ...]:
-        return init_settings, env_settings, TomlConfigSettingsSource(settings_cls)
+        given = toml_of(read_text(FILE, FILE.name, "a TOML file"), FILE.name) if FILE.is_file() else {}
+        return init_settings, env_settings, InitSettingsSource(settings_cls, given)
 
 
 def load_settings(**given: object) -> Settings:
@@ -118,8 +116,8 @@ def load_settings(**given: object) -> Settings:
         return Settings(**{key: value for key, value in given.items() if value is not None})  # type: ignore[arg-type]
     except ValidationError as error:
         raise as_input_error(error, "settings (command line, LUXLOOP_* or luxloop.toml)") from error
-    except (OSError, ValueError, RecursionError) as error:
-        raise InputError("luxloop.toml", str(error), "a TOML file with the fields of the settings") from error
+    except OSError as error:  # a folder that may not be looked into
+        raise InputError(FILE.name, str(error), "a TOML file with the fields of the settings") from error
 
 
 def usable_cache(settings: Settings) -> Path:

@@ -11,7 +11,6 @@ import typer
 from luxloop.errors import InputError
 from validation.calibrate_command import LastHistories, ModelFile, Twin
 from validation.compare_command import (
-    HISTORIES,
     Film,
     Histories,
     Json,
@@ -22,6 +21,7 @@ from validation.compare_command import (
     Router,
     Runs,
     Seed,
+    traced,
 )
 from validation.diagnose_command import Free, diagnosing, facts_of
 from validation.writing import drawn, view_of
@@ -41,7 +41,7 @@ def add(
     dry_run: DryRun = False,
     force: Force = False,
     twin: Twin = False,
-    histories: Histories = HISTORIES,
+    histories: Histories = None,
     most_histories: LastHistories = None,
     seed: Seed = 1,
     pixel_um: Pixel = None,
@@ -54,8 +54,8 @@ def add(
 ) -> None:
     """Add a physical effect to the model, fitted to the data: what changes, the errors before and after, the undo."""
     with diagnosing(
-        "add", model, free=free, histories=None if twin else histories, seed=seed, pixel_um=pixel_um, film=film,
-        runs=runs, router=router, no_local=no_local, say=not (as_json or quiet),
+        "add", model, free=free, histories=traced(twin, histories, most_histories), seed=seed,
+        pixel_um=pixel_um, film=film, runs=runs, router=router, no_local=no_local, say=not (as_json or quiet),
         most_histories=most_histories,
     ) as (engine, subject, at):  # fmt: skip
         if effect in [one.name for one in engine.model.effects]:
@@ -72,7 +72,7 @@ def remove(
     dry_run: DryRun = False,
     force: Force = False,
     twin: Twin = False,
-    histories: Histories = HISTORIES,
+    histories: Histories = None,
     most_histories: LastHistories = None,
     seed: Seed = 1,
     pixel_um: Pixel = None,
@@ -90,8 +90,8 @@ def remove(
     if effect not in have:
         raise InputError("EFFECT", effect, f"an effect of the model: {', '.join(have) or 'it has none'}")
     with diagnosing(
-        "remove", model, free=free, histories=None if twin else histories, seed=seed, pixel_um=pixel_um, film=film,
-        runs=runs, router=router, no_local=no_local, say=not (as_json or quiet),
+        "remove", model, free=free, histories=traced(twin, histories, most_histories), seed=seed,
+        pixel_um=pixel_um, film=film, runs=runs, router=router, no_local=no_local, say=not (as_json or quiet),
         most_histories=most_histories,
     ) as (engine, subject, at):  # fmt: skip
         _done(engine, subject, at, "remove", effect, (pixel_um, film), dry_run, force, as_json)
@@ -135,11 +135,13 @@ def _done(
     """Fit, put it on record, write the model file, tell it."""
     from validation import told_diagnosis as told
     from validation.adding import changed, told_of
+    from validation.cautions import overstated_of
     from validation.comparing import maps_of
 
     before, after = changed(engine, command, effect)
     document = facts_of(subject, at, engine, *looked_at) | {"effect": effect, "version": None}
     document |= told_of(subject.model, before, after)
+    document["warnings"] += overstated_of(after.fit, document["shots"])
     at.record(document, maps_of(after.fit))
     if not dry_run and (after.fit.trusted or force):
         kept = after.fit.model.model_copy(update={"data": subject.with_data.data})

@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING, Annotated, Any
@@ -17,7 +18,7 @@ import typer
 from luxloop.errors import InputError
 from luxloop.settings import load_settings
 from validation.calibrate_command import LastHistories, refuse_fewer
-from validation.compare_command import HISTORIES, Histories, Json, NoLocal, Page, Quiet, Router
+from validation.compare_command import Histories, Json, NoLocal, Page, Quiet, Router, traced
 from validation.writing import drawn, view_of
 
 if TYPE_CHECKING:
@@ -75,6 +76,7 @@ def make(
         tuple(name.strip() for name in (kinds or "").split(",") if name.strip()), pixels, histories, rivals,
     )  # fmt: skip
     making.prepared(asked)  # says at once what cannot be, before there is a folder
+    _refuse_without_numba("make", folder)
     with alone(folder, "make"):
         begun = making.begin(asked)
         with workers(load_settings(router=router), no_local) as (predictor, known), bar(as_json or quiet) as heard:
@@ -93,7 +95,7 @@ def diagnose(
     folder: Folder,
     model: Annotated[str | None, typer.Option(help="Only that of the sets, which is the default.")] = None,
     twin: Annotated[bool, typer.Option("--twin", help="By the twin alone, whose own error shows, too.")] = False,
-    histories: Histories = HISTORIES,
+    histories: Histories = None,
     most_histories: LastHistories = None,
     seed: Annotated[int, typer.Option(min=0, max=10**15, help="Of the Monte Carlo and the simulated noise.")] = 1,
     among: Annotated[
@@ -116,8 +118,9 @@ def diagnose(
     settings, index = load_settings(router=router), read_index(folder)
     chosen = chosen_model(folder, index, model)
     chosen_from = tuple(names_of("--among", among))
-    refuse_fewer(None if twin else histories, most_histories)
-    solver = Solver.of_diagnosis(None if twin else histories, seed, most_histories)
+    first = traced(twin, histories, most_histories)
+    refuse_fewer(first, most_histories)
+    solver = Solver.of_diagnosis(first, seed, most_histories)
     verdicts: Counter[str] = Counter()
     with (
         alone(folder, "diagnose"),
@@ -144,6 +147,7 @@ def measure(
     from validation.blind_test import told
     from validation.blind_test.further import measure as measured
 
+    _refuse_without_numba("measure", folder)
     with bar(as_json or quiet) as heard:
         index = measured(folder, out, heard)
     document = {"folder": str(out), "of": str(folder), "sets": len(index.sets)}
@@ -164,6 +168,13 @@ def score(
     document = scored(folders)
     typer.echo(json.dumps(document, ensure_ascii=False) if as_json else "\n".join(told.scored(document)))
     drawn(draw, document, lambda: maps_of(document["misses"]), page)
+
+
+def _refuse_without_numba(command: str, folder: Path) -> None:
+    """InputError where this installation cannot compile the truths' kernels, as that of the designer's image."""
+    if find_spec("numba") is None:
+        mend = "pip install 'luxloop[workers]'"
+        raise InputError(f"luxloop blind {command}", str(folder), "an installation with numba", mend)
 
 
 @contextmanager

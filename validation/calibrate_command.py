@@ -14,7 +14,6 @@ import typer
 from luxloop.errors import InputError
 from luxloop.settings import load_settings
 from validation.compare_command import (
-    HISTORIES,
     Film,
     Histories,
     Json,
@@ -26,6 +25,7 @@ from validation.compare_command import (
     Runs,
     Seed,
     errors_of,
+    traced,
 )
 from validation.writing import drawn, view_of
 
@@ -39,7 +39,12 @@ MOST_HISTORIES = 128_000_000
 ModelFile = Annotated[str, typer.Option("--model", help="The model file; it names its data (luxloop compare).")]
 Twin = Annotated[bool, typer.Option("--twin", help="Fit with the twin alone, without Monte Carlo.")]
 MostHistories = Annotated[
-    int, typer.Option(min=0, max=10**9, help="The last anchor takes as many as its noise asks for, at most these.")
+    int | None,
+    typer.Option(
+        min=0,
+        max=10**9,
+        help=f"The last anchor takes as many as its noise asks for, at most these; default: {MOST_HISTORIES:,}.",
+    ),
 ]
 
 LastHistories = Annotated[
@@ -62,8 +67,8 @@ def calibrate(
         bool, typer.Option("--force", help="Write the model file even where the fit is not to be trusted.")
     ] = False,
     twin: Twin = False,
-    histories: Histories = HISTORIES,
-    most_histories: MostHistories = MOST_HISTORIES,
+    histories: Histories = None,
+    most_histories: MostHistories = None,
     seed: Seed = 1,
     pixel_um: Pixel = None,
     film: Film = None,
@@ -77,13 +82,15 @@ def calibrate(
     """Find the environment that the images show: scatter by least MSE (Eqs. 1-2), then values with errors."""
     from validation import told
     from validation.calibration import Calibrated, calibrated
+    from validation.cautions import overstated_of
     from validation.comparing import NULLS, Solver
     from validation.observed import Observed
     from validation.session import session, subject_of
 
     draw = view_of("calibration", page) if page is not None else None
-    most = max(most_histories, histories) if most_histories == MOST_HISTORIES else most_histories
-    refuse_fewer(None if twin else histories, most)
+    first = traced(twin, histories, most_histories)
+    most = max(MOST_HISTORIES, first or 0) if most_histories is None else most_histories
+    refuse_fewer(first, most)
     settings = load_settings(runs=runs, router=router)
     subject = subject_of(model, None)
     if joint and fit_only:
@@ -91,7 +98,7 @@ def calibrate(
     observed = Observed.of(subject.dataset, pixel_um, film)
     chosen = paths_of(subject.model, free)
     say = not (as_json or quiet)
-    solver = Solver(None if twin else histories, seed, most)
+    solver = Solver(first, seed, most)
     way: Way | None = None if fit_only else "joint" if joint else "in turn"
     with (
         session(settings, subject, "calibrate", seed=seed, local=not no_local, say=say) as at,
@@ -111,6 +118,7 @@ def calibrate(
             **found.document(),
             "run": at.door.run, "folder": at.door.begun.folder,
         }  # fmt: skip
+        document["warnings"] = [*at.faults, *overstated_of(found.after.fit, document["shots"])]
         at.record(document, found.after.residual_maps())
     if dry_run or not (found.after.fit.trusted or force):
         document["version"] = None

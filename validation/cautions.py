@@ -1,16 +1,20 @@
-"""What a comparison says beside its verdict: that the data have faults, or that their errors are stated too large."""
+"""What commands on data say beside their verdict: that the data have faults, or errors that are stated too large."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import typer
 from scipy.special import gammaincinv  # scipy.stats takes a second to import
 
 from validation.dataset.checks import check
 from validation.fit.whitening import HELD_SD, SCALE_PRIOR_SD
+
+if TYPE_CHECKING:
+    from validation.fit import Fit
 
 IMPROBABLE = 1e-4
 """The chance below which the chi2 of a shot is too small for the errors that are stated."""
@@ -22,6 +26,23 @@ def faults_of(folder: Path) -> Iterator[str]:
     if errors:
         more = f", and {len(errors) - 1} more" if len(errors) > 1 else ""
         yield f"the data have errors, so the verdict may be wrong: {errors[0]}{more}; luxloop dataset check {folder}"
+
+
+def told_faults(folder: Path, say: bool) -> list[str]:
+    """The same for a document's warnings; on stderr where `say`, before a command's work begins."""
+    faults = list(faults_of(folder))
+    for fault in faults if say else ():
+        typer.echo(f"luxloop: {fault}", err=True)
+    return faults
+
+
+def overstated_of(found: Fit, shots: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    """As `overstated`, for the shots of a document on a fit: all that was fitted is counted."""
+    unknowns = found.problem.unknowns
+    names = [one.name for one in unknowns.parameters]
+    own = [{"nuisances": [name for name in names if name.startswith(f"{shot['id']}.")]} for shot in shots]
+    fitted = len(unknowns.model_paths) + len(unknowns.other_paths)
+    return overstated([{**shot, **more} for shot, more in zip(shots, own, strict=True)], fitted)
 
 
 def overstated(shots: Sequence[Mapping[str, Any]], fitted: int) -> Iterator[str]:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from luxloop.errors import InputError
 from luxloop.settings import load_settings
 from validation.writing import drawn, view_of
 
@@ -27,7 +28,9 @@ HISTORIES = 4_000_000
 
 ModelFile = Annotated[str, typer.Option("--model", help="Model file; begun from `paper` if there is none.")]
 Twin = Annotated[bool, typer.Option("--twin", help="The twin alone: two seconds, its own error not excluded.")]
-Histories = Annotated[int, typer.Option(min=32_768, help="Of Monte Carlo, for each sample.")]
+Histories = Annotated[
+    int | None, typer.Option(min=32_768, help=f"Of Monte Carlo, for each sample; default: {HISTORIES:,}.")
+]
 Seed = Annotated[int, typer.Option(min=0, max=10**15, help="Of Monte Carlo and of the simulated noise.")]
 Pixel = Annotated[float | None, typer.Option("--pixel-um", help="Pixel to compare at; default: 1/16 of the pitch.")]
 Film = Annotated[str | None, typer.Option(help="Film of the data set to take for all spectra.")]
@@ -43,7 +46,7 @@ def compare(
     dataset: Annotated[Path, typer.Argument(metavar="DATASET", help="Folder with a dataset.toml.")],
     model: ModelFile = "model.toml",
     twin: Twin = False,
-    histories: Histories = HISTORIES,
+    histories: Histories = None,
     seed: Seed = 1,
     pixel_um: Pixel = None,
     film: Film = None,
@@ -55,14 +58,14 @@ def compare(
     quiet: Quiet = False,
 ) -> None:
     """Compare a model with measurements: error, noise, p-value of every shot. The model file remembers the data."""
-    at = Asked("compare", model, dataset, None if twin else histories, seed, pixel_um, film, page)
+    at = Asked("compare", model, dataset, traced(twin, histories), seed, pixel_um, film, page)
     at.done(no_local, runs, router, say=not (as_json or quiet), as_json=as_json)
 
 
 def where(
     model: ModelFile = "model.toml",
     twin: Twin = False,
-    histories: Histories = HISTORIES,
+    histories: Histories = None,
     seed: Seed = 1,
     pixel_um: Pixel = None,
     film: Film = None,
@@ -74,7 +77,7 @@ def where(
     quiet: Quiet = False,
 ) -> None:
     """See where the model fails: the regions that are least like noise, and a page with the residuals drawn."""
-    at = Asked("where", model, None, None if twin else histories, seed, pixel_um, film, page)
+    at = Asked("where", model, None, traced(twin, histories), seed, pixel_um, film, page)
     at.done(no_local, runs, router, say=not (as_json or quiet), as_json=as_json)
 
 
@@ -93,7 +96,6 @@ class Asked:
 
     def done(self, no_local: bool, runs: Path | None, router: str | None, *, say: bool, as_json: bool) -> None:
         """Compare, put it on record, tell it, write the page."""
-        from validation.cautions import faults_of
         from validation.comparing import NULLS, Solver, compared
         from validation.observed import Observed
         from validation.session import session, subject_of
@@ -102,15 +104,13 @@ class Asked:
         settings = load_settings(runs=runs, router=router)
         subject = subject_of(self.model, self.dataset)
         observed = Observed.of(subject.dataset, self.pixel_um, self.film)
-        solver, faults = Solver(self.histories, self.seed), list(faults_of(subject.dataset.folder))
-        for fault in faults if say else ():
-            typer.echo(f"luxloop: {fault}", err=True)
+        solver = Solver(self.histories, self.seed)
         with (
             session(settings, subject, self.command, seed=self.seed, local=not no_local, say=say) as at,
             waiting(say, "comparing"),
         ):
             found = compared(subject.model, observed, at.predictor, solver, cache=settings.cache_dir / NULLS)
-            document = self.document(subject, found, faults) | {"run": at.door.run, "folder": at.door.begun.folder}
+            document = self.document(subject, found, at.faults) | {"run": at.door.run, "folder": at.door.begun.folder}
             at.record(document, found.residual_maps())
         if self.command == "compare":
             self.keep(subject, found)
@@ -119,7 +119,7 @@ class Asked:
 
     def document(self, subject: Subject, found: Comparison, faults: Sequence[str]) -> dict[str, Any]:
         """Of the comparison, with what was compared, and `faults` of the data; `where` adds the profiles."""
-        from validation.cautions import overstated
+        from validation.cautions import overstated_of
         from validation.profiles import profiles
 
         manifest, chosen, told = subject.dataset.manifest, subject.model, found.document()
@@ -130,7 +130,7 @@ class Asked:
                 "path": str(subject.dataset.folder.resolve()), "name": manifest.name,
                 "sha256": subject.dataset.sha256, "pixel_um": self.pixel_um, "film": self.film,
             },
-            **told, "warnings": [*faults, *overstated(told["shots"], len(told["parameters"]))],
+            **told, "warnings": [*faults, *overstated_of(found.fit, told["shots"])],
             "profiles": profiles(found.fit) if self.command == "where" or self.page is not None else [],
         }  # fmt: skip
 
@@ -138,6 +138,16 @@ class Asked:
         """The model file gets the data's path and hash, as a version with the errors that were found."""
         if subject.model.data != subject.with_data.data:
             subject.saved(subject.with_data, f"compare {subject.dataset.folder.name}", errors_of(found))
+
+
+def traced(twin: bool, histories: int | None, most_histories: int | None = None) -> int | None:
+    """Histories of Monte Carlo for each sample; None: the twin alone, beside which InputError names those."""
+    if not twin:
+        return HISTORIES if histories is None else histories
+    for option, given in (("--histories", histories), ("--most-histories", most_histories)):
+        if given is not None:
+            raise InputError(option, given, "nothing beside --twin", "the twin traces none: leave one of the two out")
+    return None
 
 
 def errors_of(found: Comparison) -> dict[str, float]:

@@ -17,7 +17,6 @@ from luxloop.files import read_text, whole
 from luxloop.settings import load_settings
 from validation.calibrate_command import LastHistories, ModelFile, Twin, bar, paths_of, refuse_fewer
 from validation.compare_command import (
-    HISTORIES,
     Film,
     Histories,
     Json,
@@ -28,6 +27,7 @@ from validation.compare_command import (
     Router,
     Runs,
     Seed,
+    traced,
 )
 from validation.writing import drawn, view_of
 
@@ -117,6 +117,7 @@ def facts_of(
         "dataset_sha256": subject.dataset.sha256,
         "run": at.door.run,
         "folder": at.door.begun.folder,
+        "warnings": list(at.faults),
     }  # fmt: skip
 
 
@@ -127,7 +128,7 @@ def diagnose(
     ] = None,
     free: Free = None,
     twin: Twin = False,
-    histories: Histories = HISTORIES,
+    histories: Histories = None,
     most_histories: LastHistories = None,
     seed: Seed = 1,
     pixel_um: Pixel = None,
@@ -141,19 +142,21 @@ def diagnose(
 ) -> None:
     """Learn which physical effect the model lacks: one verdict, the effects by rank, the measurement to take next."""
     from validation import told_diagnosis as told
+    from validation.cautions import overstated_of
     from validation.comparing import maps_of
     from validation.diagnose.arrays import arrays_of
     from validation.diagnose.document import document
 
     draw = view_of("diagnosis", page) if page is not None else None
     with diagnosing(
-        "diagnose", model, free=free, histories=None if twin else histories, seed=seed, pixel_um=pixel_um, film=film,
-        runs=runs, router=router, no_local=no_local, say=not (as_json or quiet),
+        "diagnose", model, free=free, histories=traced(twin, histories, most_histories), seed=seed,
+        pixel_um=pixel_um, film=film, runs=runs, router=router, no_local=no_local, say=not (as_json or quiet),
         among=names_of("--among", among), most_histories=most_histories,
     ) as (engine, subject, at):  # fmt: skip
         found = engine.diagnosed()
         told_of = facts_of(subject, at, engine, pixel_um, film) | document(found, seed)
         told_of |= {"not_tested": engine.untested, "held": [one.document() for one in engine.held(found)]}
+        told_of["warnings"] += overstated_of(found.steps[0].ground.fit, told_of["shots"])
         at.record(told_of, maps_of(found.steps[0].ground.fit))
         arrays = arrays_of(found) if draw is not None else {}
     keep(subject, told_of)
@@ -176,7 +179,7 @@ def next_(
     model: ModelFile = "model.toml",
     free: Free = None,
     twin: Twin = False,
-    histories: Histories = HISTORIES,
+    histories: Histories = None,
     most_histories: LastHistories = None,
     seed: Seed = 1,
     pixel_um: Pixel = None,
@@ -195,8 +198,8 @@ def next_(
 
     rivals = effects or rivals_of(model)
     with diagnosing(
-        "next", model, free=free, histories=None if twin else histories, seed=seed, pixel_um=pixel_um, film=film,
-        runs=runs, router=router, no_local=no_local, say=not (as_json or quiet),
+        "next", model, free=free, histories=traced(twin, histories, most_histories), seed=seed,
+        pixel_um=pixel_um, film=film, runs=runs, router=router, no_local=no_local, say=not (as_json or quiet),
         most_histories=most_histories,
     ) as (engine, subject, at):  # fmt: skip
         specs = [engine.spec(name) for name in rivals]

@@ -29,6 +29,7 @@ from luxloop.model import Data, Model
 from luxloop.model_file import SHIPPED, find_model, parse_toml, read_text, to_toml
 from luxloop.settings import Settings, usable_cache
 from validation.asked import COMMAND, Asking
+from validation.cautions import told_faults
 from validation.dataset.folder import Dataset, read_dataset
 from validation.dataset.manifest_file import MANIFEST
 from validation.effects.known import Known
@@ -129,6 +130,8 @@ class Session:
     door: RunDoor
     asking: Asking
     predictor: Predictor
+    faults: tuple[str, ...] = ()
+    """Of the data, for the warnings of a document."""
 
     def record(self, document: Mapping[str, Any], residual_maps: Mapping[str, Array]) -> None:
         """Put a step on record with its maps (row, column) of residuals in standard deviations, 0 where unused."""
@@ -151,9 +154,10 @@ def session(
 ) -> Iterator[Session]:
     """Workers that answer (a running set, else one of our own), and a run at their controller.
 
-    Raises RemoteError where the controller refuses or cannot be reached.
+    Faults of the data are told first. Raises RemoteError where the controller refuses or cannot be reached.
     """
     usable_cache(settings)
+    faults = tuple(told_faults(subject.dataset.folder, say))
     name = f"{datetime.now(UTC):%Y%m%d-%H%M%S}-{command}-{os.getpid()}"
     with Client(settings, local=local, patience_s=PATIENCE_S) as client:
         facts = {"argv": sys.argv[1:], "version": __version__, "dataset_sha256": subject.dataset.sha256}
@@ -162,7 +166,7 @@ def session(
             if subject.model.effects:  # before anything is traced
                 Known.ask(asking).refuse_unknown(subject.model)
             try:
-                yield Session(subject, command, seed, door, asking, Predictor(asking))
+                yield Session(subject, command, seed, door, asking, Predictor(asking), faults)
             except KeyboardInterrupt:
                 sys.stderr.write(f"luxloop: {command} interrupted; its run so far is {door.begun.folder}\n")
                 raise

@@ -31,10 +31,15 @@ def comparison(document: Document) -> Iterator[str]:
     yield document["sentence"] + "."
     if not document["trusted"]:
         yield f"Not to be trusted: {document['reason']}."
-    yield from (f"Warning: {warning}." for warning in document.get("warnings", ()))
+    yield from warnings(document)
     yield from pulled(images)
     if _by_twin(document):
         yield "By the twin alone, whose own error may show as structure: leave --twin out for the verdict."
+
+
+def warnings(document: Document) -> Iterator[str]:
+    """Faults of the data, and errors stated too large; documents of earlier versions have none."""
+    yield from (f"Warning: {warning}." for warning in document.get("warnings", ()))
 
 
 def _by_twin(document: Document) -> bool:
@@ -141,6 +146,7 @@ def calibration(document: Document) -> Iterator[str]:
     yield f"{document['sentence']}; {left}."
     if not document["trusted"]:
         yield f"Not to be trusted: {document['reason']}."
+    yield from warnings(document)
     if _by_twin(document):
         yield "By the twin alone, whose own error moves values by more than their errors: leave --twin out to decide."
     if document.get("version") is None:

@@ -7,7 +7,7 @@ from itertools import groupby
 from typing import Any
 
 from validation.diagnose.explanation import size_in_words
-from validation.told import table
+from validation.told import table, warnings
 
 Document = Mapping[str, Any]
 
@@ -22,6 +22,7 @@ def diagnosis(document: Document) -> Iterator[str]:
     found = document["structure"]
     chance = "< 1e-9" if document["scores_p"] < 1e-9 else f"{document['scores_p']:.2g}"
     yield f"Structure: p {found['p_text']}; the {document['known']} known effects: p {chance}."
+    yield from warnings(document)
     yield from (one["words"] for one in document["held"])
     if document["effects"]:
         yield ""
@@ -108,6 +109,7 @@ def added(document: Document) -> Iterator[str]:
     yield f"p of structure: {before['p']:.2g} -> {after['p']:.2g}"
     if not document["trusted"]:
         yield f"Not to be trusted: {document['reason']}."
+    yield from warnings(document)
     if document["version"] is None:
         yield f"{document['model']['file']} is as it was."
     else:

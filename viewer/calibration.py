@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from viewer import calibration_figures as figures
 from viewer import html
-from viewer.comparison_tables import number, provenance
+from viewer.comparison_tables import number, provenance, warnings
 from viewer.html import NOTHING, paragraph
 from viewer.look import save
 
@@ -69,6 +69,7 @@ def _head(document: Document) -> Iterator[str]:
     yield html.highlights(rows)
     if not document["trusted"]:
         yield paragraph(f"The fit itself is not trustworthy: {document['reason']}. Mend this first.", "note")
+    yield from warnings(document)
 
 
 def _stages(document: Document) -> Iterator[str]:

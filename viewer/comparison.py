@@ -98,8 +98,7 @@ def _head(document: Document) -> Iterator[str]:
     yield html.highlights(rows)
     if not document["trusted"]:
         yield paragraph(f"The fit itself is not trustworthy: {document['reason']}. Mend this first.", "note")
-    for warning in document.get("warnings", ()):
-        yield paragraph(f"Warning: {warning}.", "note")
+    yield from tables.warnings(document)
 
 
 def _images(document: Document, arrays: Arrays) -> Iterator[str]:

@@ -103,6 +103,11 @@ def regions(document: Document) -> Iterator[str]:
     yield html.table(("", "shot", "region", "family", "z"), rows, caption, words=4)
 
 
+def warnings(document: Document) -> Iterator[str]:
+    """What is said beside a verdict; documents of earlier versions have none."""
+    yield from (paragraph(f"Warning: {warning}.", "note") for warning in document.get("warnings", ()))
+
+
 def provenance(document: Document, title: str = "This comparison was made by:") -> Iterator[str]:
     """What made a page can be checked and made again."""
     model, dataset, solver = document["model"], document["dataset"], document["solver"]

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from viewer import comparison_images as images
 from viewer import diagnosis_figures as figures
 from viewer import html
-from viewer.comparison_tables import number, provenance
+from viewer.comparison_tables import number, provenance, warnings
 from viewer.html import NOTHING, paragraph
 from viewer.look import save
 
@@ -65,6 +65,7 @@ def page_of(document: Document, arrays: Arrays) -> str:
 def _head(document: Document) -> Iterator[str]:
     yield html.heading(f"Diagnosis of {document['model']['name']} on {document['dataset']['name']}")
     yield paragraph(document["sentence"], "lead")
+    yield from warnings(document)
     yield from (paragraph(one["words"], "note") for one in document.get("held", ()))
     structure = document["structure"]
     rows = [

@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from containers.bsdf import Bsdf, Fresnel, GaussianLobe, Lambertian, Mirror, SpecularTable
+from containers.checked import within
 from containers.materials import material
 from containers.ray_tracing.packing import node_angles
-from containers.scene import Array, Cell, Chip, Emission, Face, Receiver, Scene
+from containers.scene import LEAST_INDEX, MOST_INDEX, Array, Cell, Chip, Emission, Face, Receiver, Scene
 from containers.thin_film.angles import powers_of_both
 from containers.thin_film.table import FilmTable, Powers, Side
 from luxloop.design import Design
@@ -118,6 +119,12 @@ def _faces(top: _Top) -> Face:
     return Face(line.film_from("inside"), line.film_from("outside"))
 
 
+def _fixed_index(environment: Environment) -> Real:
+    """Of the chip, as (wavelength,). Raises InputError by the name that a request and a model file have for it."""
+    mend = "unfolding needs n^2 of at least 2"
+    return within("environment.n_gan", [environment.n_gan], LEAST_INDEX, MOST_INDEX, mend)
+
+
 class _Line:
     """The wavelengths of a scene, and what its chip and film are at each of them.
 
@@ -129,7 +136,7 @@ class _Line:
         self._film = film
         fixed = environment.indices == "fixed"
         at = np.array([environment.peak_nm])
-        n = np.array([environment.n_gan]) if fixed else material("GaN").index(at).real
+        n = _fixed_index(environment) if fixed else material("GaN").index(at).real
         self.index, self.weight = n, np.ones(1)
         self._sampled = environment.spectrum == "sampled" and film is not None
         if film is None:

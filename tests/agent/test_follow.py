@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 import subprocess
 import sys
 import threading
@@ -14,7 +15,7 @@ import typer
 from typer.testing import CliRunner
 
 from agent import runs_command
-from agent.follow import Listener, Seen, evaluations_of, from_journal, name_of, played
+from agent.follow import Listener, Seen, evaluations_of, from_journal, name_of, played, status_line
 from agent.live import View
 from agent.overview import overview
 from agent.progress import Progress
@@ -27,7 +28,7 @@ from luxloop.journal.topics import Record
 from luxloop.messages import Replayed
 from luxloop.settings import Settings, as_environment
 from tests.agent.test_live import shown
-from tests.campaign_runs import START, RunOnDisk, whole_run
+from tests.campaign_runs import ARGV, START, RunOnDisk, plan_of, whole_run
 from tests.conftest import wait_for
 from tests.env_controller.test_compact import interrupted, three_starts
 from tests.local_bus import LocalBus, LocalRouter
@@ -70,6 +71,20 @@ def test_a_run_is_running_then_killed_then_resumed_then_over(tmp_path: Path) -> 
     run.finish()
     assert state(folder) == ("ended", "budget: 12 evaluations", "")
     assert overview(folder)["finished"]
+
+
+def test_a_comparison_that_was_interrupted_is_to_be_done_again(tmp_path: Path) -> None:
+    """`campaign resume` goes on with no run of that kind: its own command is told, as it was given."""
+    run = RunOnDisk(tmp_path / "trial", plan_of(kind="validation"))
+    run.close()
+    mend = shlex.join(["luxloop", *ARGV])
+    assert state(tmp_path / "trial")[2] == mend
+    run = RunOnDisk(tmp_path / "trial", plan_of(kind="validation"))
+    run.finish("left early", complete=False)
+    row = overview(tmp_path / "trial")
+    assert row["mend"] == mend
+    assert status_line(row).endswith(f"; to do it again: {mend}")
+    assert status_line(row | {"kind": "campaign"}).endswith(f"; to go on: {mend}")
 
 
 def test_a_killed_start_after_an_end_is_killed(tmp_path: Path) -> None:

@@ -330,6 +330,7 @@ def test_the_twin_agrees_with_monte_carlo(array: dict[str, int] | None) -> None:
     [
         ({"design": DESIGN | {"distance_um": 36.0}}, "design"),
         ({"design": DESIGN | {"width_um": 500.0}}, "design"),
+        ({"environment": {"n_gan": 1.41}}, "environment.n_gan"),
         ({"method": "twin", "far_field": True}, "far_field"),
         ({"method": "twin", "histories": None, "target_error_points": 1.0}, "histories"),
         ({"method": "twin", "array": {"rows": 2, "columns": 2, "wall_reflectance": 0.5}}, "layout"),

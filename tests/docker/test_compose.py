@@ -119,7 +119,7 @@ def test_each_service_is_built_here_from_a_target_that_is_there() -> None:
     targets = set(re.findall(r"^FROM \S+ AS (\S+)$", DOCKERFILE, re.MULTILINE))
     for service in SERVICES.values():
         assert service["build"]["dockerfile"] == "docker/Dockerfile"
-        assert service["image"] == f"luxloop-{service['build']['target']}"
+        assert service["image"] == f"luxloop-{service['build']['target']}:${{IMAGE_TAG:-latest}}"
         assert service["build"]["target"] in targets
 
 
@@ -159,3 +159,17 @@ def test_the_build_sees_what_it_needs_and_no_more() -> None:
     copied = re.findall(r"^COPY (?!--from)(.+) \S+$", DOCKERFILE, re.MULTILINE)
     assert {source.split("/")[0] for line in copied for source in line.split()} <= allowed
     assert not allowed & {"runs", "certs", ".env", ".git"}
+
+
+def test_a_check_leaves_the_images_of_others_alone() -> None:
+    """docker/check.sh built over the tags of `docker compose up` without saying so; its own go at its end."""
+    script = (ROOT / "docker" / "check.sh").read_text()
+    (tag,) = re.findall(r"^export .*IMAGE_TAG=(\w+)", script, re.MULTILINE)
+    assert tag != "latest"
+    assert "down --volumes --rmi all" in script
+    assert set(re.findall(r"luxloop-\$image\S*?(?=\))", script)) == {"luxloop-$image:$IMAGE_TAG"}
+
+
+def test_who_asks_for_no_ray_worker_learns_it_from_what_starts_first() -> None:
+    """The certificates' service is told how many there are to be; its enter.sh refuses 0."""
+    assert SERVICES["pc3"]["scale"] == SERVICES["certs"]["environment"]["RAY_WORKERS"] == "${RAY_WORKERS:-1}"

@@ -60,10 +60,10 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     return Clock(monkeypatch)
 
 
-def door(*answers: Any) -> tuple[RunDoor, Client]:
+def door(*answers: Any, **plan: Any) -> tuple[RunDoor, Client]:
     """A door on a run, and who answers there."""
     client = Client(BEGUN, *answers)
-    opened = RunDoor(client, Begin(plan=plan_of("one"), designer="d"))  # type: ignore[arg-type]  # it has what is asked
+    opened = RunDoor(client, Begin(plan=plan_of("one", **plan), designer="d"))  # type: ignore[arg-type]  # it has what is asked
     client.rows.clear()
     return opened, client
 
@@ -102,6 +102,14 @@ def test_a_run_that_the_controller_has_forgotten_says_what_is_safe_and_where() -
     assert "refused" in caught.value.failure.message
     assert "/runs/one" in caught.value.failure.message
     assert caught.value.failure.mend == "luxloop campaign resume one"
+
+
+def test_a_comparison_that_the_controller_has_forgotten_is_to_be_run_again() -> None:
+    """`campaign resume` goes on with none."""
+    opened, _ = door("not_found", "refused", kind="validation")
+    with pytest.raises(RemoteError) as caught:
+        opened.act(ACTION)
+    assert caught.value.failure.mend == "run it again"
 
 
 def test_a_run_that_the_controller_has_forgotten_is_opened_again(clock: Clock) -> None:

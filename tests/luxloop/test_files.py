@@ -64,6 +64,10 @@ def test_a_file_that_one_may_not_read_is_told(tmp_path: Path) -> None:
         (f"a = 1\nb = {DIGITS}\nc = 2", 2, "a number has at most 4,300 digits"),
         (f"a = 1\nb = 0x{'f' * 5000}\nc = 2", 2, "a number has at most 4,300 digits"),
         (f"a = 1\n{'b.' * 3000}b = 1\nc = 2", 2, "names by dots"),
+        (f"a = 1\n{'b.' * 300_000}b = 1\nc = 2", 2, "names by dots"),
+        (f"a = 1\n[[{'b . ' * 200_000}b]]\nc = 2", 2, "names by dots"),
+        ("a = 1\nb = {c = 1, " + '"d \\" e".' * 50_000 + "f = 1}\nc = 2", 2, "names by dots"),
+        ("a = 1\n" + "'b.c'." * 100_000 + "f = 1\nc = 2", 2, "names by dots"),
         ("a = 1\nb = " + "[" * 5000 + "]" * 5000 + "\nc = 2", 2, "nest a hundredfold at most"),
         ("a = 1\nb = " + "{a = " * 5000 + "1" + "}" * 5000 + "\nc = 2", 2, "nest a hundredfold at most"),
     ],
@@ -76,6 +80,13 @@ def test_what_is_no_toml_is_told_with_its_line(text: str, line: int, mend: str) 
     assert caught.value.value == text.split("\n")[line - 1]
     assert mend in caught.value.mend
     assert len(str(caught.value)) < 300
+
+
+def test_numbers_with_points_and_names_of_some_depth_are_toml() -> None:
+    """Many points in a line are no depth: it is names that nest."""
+    numbers, name = ", ".join(["0.5"] * 500), ".".join("a" * 50)
+    data = toml_of(f"a.b = [{numbers}]  # {'1.' * 500}\n{name}.b = '{'x. ' * 500}'", "x.toml")
+    assert data["a"]["b"] == [0.5] * 500
 
 
 def test_any_value_can_be_told() -> None:
@@ -108,6 +119,17 @@ def test_a_file_is_replaced_as_a_whole(tmp_path: Path) -> None:
         assert path.read_text() == "before"
     assert (path.read_text(), link.is_symlink(), path.stat().st_mode & 0o777) == ("after", True, 0o640)
     assert {one.name for one in tmp_path.iterdir()} == {"kept.png", "link.png"}
+
+
+def test_two_that_write_into_one_folder_at_once_do_not_meet(tmp_path: Path) -> None:
+    """Two threads, or one within the other, had one name for what they wrote: one's text became the other's file."""
+    with whole(tmp_path / "a.json") as one, whole(tmp_path / "b.json") as other, whole(tmp_path / "b.json") as again:
+        assert len({one, other, again}) == 3
+        for fresh in (one, other, again):
+            fresh.write_text(fresh.name)
+        names = one.name, other.name
+    assert ((tmp_path / "a.json").read_text(), (tmp_path / "b.json").read_text()) == names
+    assert {path.name for path in tmp_path.iterdir()} == {"a.json", "b.json"}
 
 
 def test_a_pipe_is_written_to(tmp_path: Path) -> None:

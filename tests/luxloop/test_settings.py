@@ -12,6 +12,7 @@ import pytest
 from env_controller.taken import refuse_taken
 from luxloop.endpoint import host_and_port, listening
 from luxloop.errors import InputError, LuxloopError
+from luxloop.files import MAX_BYTES
 from luxloop.settings import Settings, as_environment, load_settings, usable_cache
 
 
@@ -108,6 +109,27 @@ def test_a_settings_file_that_is_not_utf8_is_named() -> None:
     Path("luxloop.toml").write_bytes(b'realm = "\xff"')
     with pytest.raises(InputError, match=r"luxloop\.toml"):
         load_settings()
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [("#" * (MAX_BYTES + 1), "more than 1,048,576 bytes"), ("a." * 20_000 + "b = 1", "names by dots")],
+)
+def test_a_settings_file_that_would_be_read_for_minutes_is_refused(text: str, said: str) -> None:
+    """Too large, or one name of 20,000 dots, which took two minutes."""
+    Path("luxloop.toml").write_text(text)
+    with pytest.raises(InputError, match=said) as caught:
+        load_settings()
+    assert caught.value.field.startswith("luxloop.toml")
+
+
+def test_a_settings_file_is_below_the_environment_and_may_have_a_byte_order_mark(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """As every other file of a user."""
+    Path("luxloop.toml").write_bytes(b'\xef\xbb\xbfattempts = 7\nrealm = "lab"')
+    monkeypatch.setenv("LUXLOOP_REALM", "other")
+    assert (load_settings().attempts, load_settings().realm) == (7, "other")
 
 
 def test_an_empty_variable_is_as_good_as_none(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,9 +1,10 @@
-"""What a comparison says beside its verdict: faults of the data, and errors that are stated too large."""
+"""What is said beside a verdict: faults of the data, and errors that are stated too large."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+import json
+from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -13,10 +14,9 @@ import pytest
 
 from tests.validation.datasets import PEAK_DN, light, photographed, put, write_dataset
 from tests.validation.workers import Workers
-from validation import compare_command, session
+from validation import add_command, calibrate_command, compare_command, diagnose_command, session
 from validation.cautions import faults_of, overstated
 from validation.dataset.folder import write_sums
-from validation.prediction import Predictor
 from validation.told import comparison
 
 WAFER = Path(__file__).parents[2] / "examples" / "wafer"
@@ -56,29 +56,39 @@ def test_errors_stated_too_large_are_said(kind: str) -> None:
     assert ("gain" if kind == "image" else "sigma") in told.rpartition("look at")[2]
 
 
+class Asking(Workers):
+    """Workers of this process, of which nothing goes on record."""
+
+    tasks: Sequence[str] = ()
+
+    def records(self) -> Sequence[Any]:
+        """None."""
+        return ()
+
+
 @pytest.fixture
-def compare(
+def luxloop(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> Callable[..., tuple[str, str]]:
-    """`luxloop compare --twin` on workers of this process: stdout and stderr."""
+    """A command by the twin, on workers of this process and a journal of nobody: stdout and stderr."""
+    workers = Asking(tmp_path / "films")
+    folder = SimpleNamespace(folder="runs/run", root="root")
+    door = SimpleNamespace(run="run", begun=folder, note=lambda **_: None, end=lambda *_, **__: folder)
+    monkeypatch.setenv("LUXLOOP_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr(session, "Client", lambda *_, **__: nullcontext(workers))
+    monkeypatch.setattr(session, "Asking", lambda client: client)
+    monkeypatch.setattr(session.RunDoor, "begin", lambda *_: nullcontext(door))
 
-    @contextmanager
-    def here(*_: Any, **__: Any) -> Iterator[Any]:
-        door = SimpleNamespace(run="run", begun=SimpleNamespace(folder="runs/run"))
-        predictor = Predictor(Workers(tmp_path))
-        yield SimpleNamespace(door=door, predictor=predictor, record=lambda *_: None)
-
-    monkeypatch.setattr(session, "session", here)
-
-    def run(data: Path, **how: Any) -> tuple[str, str]:
-        compare_command.compare(data, model=str(tmp_path / "model.toml"), twin=True, histories=1, **how)
+    def run(command: Callable[..., None], *words: Any, **how: Any) -> tuple[str, str]:
+        command(*words, model=str(tmp_path / "model.toml"), twin=True, **how)
         return tuple(capsys.readouterr())  # type: ignore[return-value]
 
     return run
 
 
-def test_compare_tells_both_on_its_own(tmp_path: Path, compare: Callable[..., tuple[str, str]]) -> None:
-    """The wafer with a sigma of fifty times its noise, and a file that is missing: agreement, with two warnings."""
+@pytest.fixture
+def overstated_wafer(tmp_path: Path) -> Path:
+    """The wafer with a sigma of fifty times its noise, and a file that is missing."""
     data = tmp_path / "wafer"
     (data / "spectra").mkdir(parents=True)
     for name in ("dataset.toml", "spectra/R.csv", "spectra/T.csv"):
@@ -87,14 +97,41 @@ def test_compare_tells_both_on_its_own(tmp_path: Path, compare: Callable[..., tu
     (data / "gone.txt").write_text("here")
     write_sums(data)
     (data / "gone.txt").unlink()
-    out, err = compare(data)
+    return data
+
+
+def test_compare_tells_both_on_its_own(overstated_wafer: Path, luxloop: Callable[..., tuple[str, str]]) -> None:
+    """Agreement, with two warnings."""
+    out, err = luxloop(compare_command.compare, overstated_wafer)
     assert "none of the 2 shots differs" in out
     assert "Warning: wafer-R: chi2/value is " in out
     assert "the data have errors" in err
-    assert f"luxloop dataset check {data}" in err
-    out, err = compare(data, as_json=True)
+    assert f"luxloop dataset check {overstated_wafer}" in err
+    out, err = luxloop(compare_command.compare, overstated_wafer, as_json=True)
     assert err == ""
     assert "gone.txt" in out
+
+
+@pytest.mark.parametrize(
+    ("command", "words", "how"),
+    [
+        (calibrate_command.calibrate, (), {"fit_only": True}),
+        (diagnose_command.diagnose, (), {"among": "film_interface_roughness"}),
+        (add_command.add, ("film_interface_roughness",), {"dry_run": True}),
+    ],
+)
+def test_commands_that_decide_by_the_data_tell_the_same(
+    overstated_wafer: Path, luxloop: Callable[..., tuple[str, str]], command: Any, words: Any, how: Any
+) -> None:
+    """Only comparisons did: a diagnosis of faulty data said nothing of them. Each caution stands once in a text."""
+    luxloop(compare_command.compare, overstated_wafer)
+    out, err = luxloop(command, *words, **how)
+    assert err.count("the data have errors") == out.count("Warning: the data have errors") == 1
+    assert out.count("Warning: wafer-R: chi2/value is ") == 1
+    out, err = luxloop(command, *words, as_json=True, **how)
+    assert err == ""
+    told = json.loads(out)["warnings"]
+    assert [name in one for name, one in zip(("gone.txt", "wafer-R", "wafer-T"), told, strict=True)] == [True] * 3
 
 
 def test_warnings_are_printed_below_the_sentence() -> None:

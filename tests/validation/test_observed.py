@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from luxloop.errors import InputError
 from tests.validation.datasets import MANIFEST, PIXEL_UM, write_dataset
-from validation import calibrate_command, diagnose_command, effects_command
+from validation import add_command, calibrate_command, compare_command, diagnose_command, effects_command
 from validation.dataset.folder import Dataset, read_dataset, write_sums
 from validation.observed import Observed
 
@@ -72,6 +72,40 @@ def test_options_that_say_nothing_or_less_than_another_are_refused(
     done = CliRunner().invoke(app, [*argv, "--model", "paper"])
     assert isinstance(done.exception, InputError), done.output
     assert done.exception.field == field
+
+
+@pytest.mark.parametrize(
+    ("argv", "options"),
+    [
+        (("compare", "data"), ("--histories",)),
+        (("where",), ("--histories",)),
+        (("calibrate",), ("--histories", "--most-histories")),
+        (("diagnose",), ("--histories", "--most-histories")),
+        (("next", "vignetting"), ("--histories", "--most-histories")),
+        (("add", "vignetting"), ("--histories", "--most-histories")),
+    ],
+)
+def test_histories_beside_the_twin_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, argv: tuple[str, ...], options: tuple[str, ...]
+) -> None:
+    """The twin traces none: they were taken and not used. It is said before anything is read."""
+    monkeypatch.chdir(tmp_path)
+    app = typer.Typer()
+    for command in (compare_command.compare, compare_command.where, diagnose_command.diagnose, add_command.add):
+        app.command()(command)
+    app.command()(calibrate_command.calibrate)
+    app.command("next")(diagnose_command.next_)
+    for option in options:
+        done = CliRunner().invoke(app, [*argv, "--twin", option, "4000000"])
+        assert isinstance(done.exception, InputError), done.output
+        assert (done.exception.field, done.exception.value) == (option, 4_000_000)
+        assert done.exception.allowed == "nothing beside --twin"
+
+
+def test_without_the_twin_histories_are_those_asked_for_or_four_million() -> None:
+    """None: the twin alone."""
+    assert [compare_command.traced(False, None), compare_command.traced(False, 32_768)] == [4_000_000, 32_768]
+    assert compare_command.traced(True, None) is None
 
 
 @pytest.mark.parametrize(("first", "last"), [(4_000_000, 0), (4_000_000, None), (None, 5), (5, 5)])

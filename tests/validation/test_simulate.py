@@ -301,7 +301,7 @@ def test_one_folder_is_made_by_one_command_at_a_time(
 def test_what_is_cut_short_leaves_no_part_of_a_data_set(
     run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The folder is empty again, so that the same command can be given once more."""
+    """The folder is as it was, so that the same command can be given once more: not there, or empty."""
 
     def stopped(*_: Any, **__: Any) -> None:
         raise KeyboardInterrupt
@@ -309,7 +309,10 @@ def test_what_is_cut_short_leaves_no_part_of_a_data_set(
     with monkeypatch.context() as patched:
         patched.setattr("validation.dataset.simulate.write_sums", stopped)
         assert run(tmp_path / "set").exit_code != 0
-    assert list((tmp_path / "set").iterdir()) == []
+        assert not (tmp_path / "set").exists()
+        (tmp_path / "mine").mkdir()
+        assert run(tmp_path / "mine").exit_code != 0
+    assert list((tmp_path / "mine").iterdir()) == []
     assert run(tmp_path / "set").exit_code == 0
 
 

@@ -151,6 +151,13 @@ def test_a_parameter_at_its_limit_is_not_trusted() -> None:
     assert text.count("at its limit") == 2 + 1  # and once in the caption, with a capital
 
 
+def test_warnings_are_said_at_the_top() -> None:
+    """Of faults of the data; documents of earlier versions have none."""
+    page = page_of(calibration(warnings=["look"]), {})
+    assert page.index("Warning: look.") < page.index("<nav>")
+    assert "Warning" not in page_of(calibration(), {})
+
+
 def test_the_grid_alone_and_the_fit_alone_have_pages() -> None:
     """No section stands empty where a part was not asked for."""
     grid = loads_nothing(page_of(calibration(fit=None, errors=[]), {}))

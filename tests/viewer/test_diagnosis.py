@@ -124,6 +124,13 @@ def test_the_verdict_stands_first(whole: tuple[Parsed, str]) -> None:
     assert whole[1].index(SENTENCE) < whole[1].index(HELD) < whole[1].index("<nav>")
 
 
+def test_warnings_stand_below_the_sentence() -> None:
+    """Of faults of the data; documents of earlier versions have none."""
+    page = page_of(diagnosis(warnings=["look at <data>"]), arrays())
+    assert page.index(SENTENCE) < page.index("Warning: look at &lt;data&gt;.") < page.index("<nav>")
+    assert "Warning" not in page_of(diagnosis(), arrays())
+
+
 def test_the_tables_hold_the_numbers_of_the_document(whole: tuple[Parsed, str]) -> None:
     """Size, drop, share, held-out error, evidence, the parameter that moves back, the stanza, where it comes from."""
     for told in ("edge_walls reflectance 0.281 ± 0.01 1650 97 ± 2 2.41 → 0.83 812 0.44",

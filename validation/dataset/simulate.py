@@ -12,7 +12,7 @@ import json
 import shutil
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -324,10 +324,12 @@ def _within(option: str, value: float, most: float, why: str) -> None:
 def _being_made(out: Path) -> Iterator[Path]:
     """Where to write what will be in the folder, which must be empty or not there yet; moved there when it is whole.
 
-    Raises InputError where it has something in it, cannot be made, or another command is making it.
+    A folder that was not there and stays empty is taken away again. Raises InputError where it has something in it,
+    cannot be made, or another command is making it.
     """
     part = out / PART
     try:
+        there = out.exists()
         out.mkdir(parents=True, exist_ok=True)
         part.mkdir()
     except OSError as error:
@@ -343,6 +345,9 @@ def _being_made(out: Path) -> Iterator[Path]:
             path.rename(out / path.name)
     finally:
         shutil.rmtree(part, ignore_errors=True)
+        if not there:
+            with suppress(OSError):  # there is something in it
+                out.rmdir()
 
 
 def _write_truth(folder: Path, model: Model, expected: Sequence[Expected], how: dict[str, Any]) -> None:

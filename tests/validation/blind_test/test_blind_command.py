@@ -94,6 +94,17 @@ def test_what_cannot_be_is_said_at_once(
     assert not (tmp_path / "out").exists()
 
 
+def test_without_numba_truths_are_refused_before_anything_is_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As in the designer's image: the mend, where it had been a traceback from workers' answers on."""
+    monkeypatch.setattr(blind_command, "find_spec", lambda _: None)
+    for command in (blind_command.make, lambda out: blind_command.measure(tmp_path, out)):
+        with pytest.raises(InputError, match=r"an installation with numba; pip install 'luxloop\[workers\]'"):
+            command(tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
 def test_scores_of_two_folders_add_up(settings: Settings, tmp_path: Path) -> None:
     """The table, the misses and a page, without any process; a changed answer ends it with the set's name."""
     right = answer("set-1", hiding("vignetting"))
