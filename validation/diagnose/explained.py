@@ -44,8 +44,8 @@ class Loudest:
     family: str
     expected: float
     freedom: float
-    before: float
-    """Its energy in the residual of the base model, over the variance scale."""
+    base: Real
+    """The residual of the base model, over the root of its variance scale."""
 
     def energy(self, residual: Real, scale: float = 1.0) -> float:
         """Of a whitened residual."""
@@ -53,20 +53,33 @@ class Loudest:
         row = self.layout.families.index(self.family)
         return float((self.layout.family_sums @ self.layout.energies(cells, self.weight))[row, 0]) / scale
 
-    def share(self, residual: Real, scale: float = 1.0) -> Share:
+    def share(self, residual: Real, scale: float = 1.0, *, same_noise: bool) -> Share:
         """What a model explains that leaves this residual.
 
-        The error is that of both energies: a chi2 of `freedom` degrees and factor c = nu / freedom, not central by
-        the structure q that is there, has the variance 2 nu^2 / freedom + 4 c q.
+        Parameters
+        ----------
+        same_noise : as in the residual of the base model, about one anchor; else as if each had noise of its own.
+
+        Notes
+        -----
+        A chi2 of `freedom` degrees and factor c = nu / freedom, not central by the structure q that is there, has the
+        variance 2 nu^2 / freedom + 4 c q. With r of the structure left the share errs as Q_after - r Q_before does.
+        Where one noise is in both, that is as the energy of (1 - r) of the noise does beside the structure of
+        residual - r base: what explains little errs little.
         """
-        after = self.energy(residual, scale)
-        structure = self.before - self.expected
+        structure = self.energy(self.base) - self.expected
         if structure <= 0.0:
             return Share(0.0, np.inf)
-        left = after - self.expected
-        error = np.sqrt(self._variance(left) + (left / structure) ** 2 * self._variance(structure)) / structure
-        return Share(1.0 - left / structure, float(error))
+        left = self.energy(residual, scale) - self.expected
+        ratio = left / structure
+        if same_noise:
+            noise = (1.0 - ratio) ** 2
+            apart = self.energy(residual / np.sqrt(scale) - ratio * self.base) - noise * self.expected
+            variance = self._variance(apart, noise)
+        else:
+            variance = self._variance(left) + ratio**2 * self._variance(structure)
+        return Share(1.0 - ratio, float(np.sqrt(variance) / structure))
 
-    def _variance(self, structure: float) -> float:
+    def _variance(self, structure: float, noise: float = 1.0) -> float:
         factor = self.expected / self.freedom
-        return 2.0 * self.expected**2 / self.freedom + 4.0 * factor * max(structure, 0.0)
+        return 2.0 * noise * self.expected**2 / self.freedom + 4.0 * factor * max(structure, 0.0)

@@ -37,9 +37,9 @@ class Ground:
     @property
     def loudest(self) -> Loudest:
         """Its largest family."""
-        family = self.structure.families[0]
+        family, residual = self.structure.families[0], self.fit.residual / np.sqrt(self.structure.variance_scale)
         return Loudest(
-            self.null.layout, self.variances.weight, family.name, family.expected, family.freedom, family.energy
+            self.null.layout, self.variances.weight, family.name, family.expected, family.freedom, residual
         )
 
     def judged(self, residual: Real) -> Structure:

@@ -203,7 +203,7 @@ def _explanation(
         value=found.value,
         error=found.error,
         drop=drop,
-        share=ground.loudest.share(found.residual, scale),
+        share=ground.loudest.share(found.residual, scale, same_noise=_about_one_anchor(base, found)),
         held_out=change,
         held_out_percent=percents,
         log_evidence=_log_evidence(ground, found, drop, columns[score.name]),
@@ -215,6 +215,11 @@ def _explanation(
         sigma=length,
         sigma_rival=beside,
     )
+
+
+def _about_one_anchor(base: Fit, found: Refitted) -> bool:
+    """Whether what is left has the base's noise of Monte Carlo."""
+    return found.fit is None or found.fit.problem.anchor == base.problem.anchor
 
 
 def _by_place(base: Fit, candidate: Candidate) -> float:
