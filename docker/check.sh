@@ -32,7 +32,9 @@ size() { docker image inspect --format '{{.Size}}' "$1" | megabytes; }
 memory() { docker stats --no-stream --format '{{.Name}} {{.MemUsage}}' $(docker compose ps -q) |
   sed "s/^$COMPOSE_PROJECT_NAME-//" | sort | while read -r name used; do say "memory of $name" "$used"; done; }
 leave() {
-  docker compose down --volumes --rmi all --timeout 20 >/dev/null 2>&1 || true
+  docker compose down --remove-orphans --timeout 20 >/dev/null 2>&1 || true # a campaign under way, too
+  docker compose down --volumes --rmi all >/dev/null 2>&1 || true
+  docker image prune --force --filter "label=com.docker.compose.project=$COMPOSE_PROJECT_NAME" >/dev/null || true
   rm -rf "$clone"
 }
 trap leave EXIT

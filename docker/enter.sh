@@ -7,8 +7,9 @@ refuse() { # folder, its name on the host, mend
   exit 2
 }
 
-if [ "${RAY_WORKERS:-1}" = 0 ]; then # the campaign would wait for one without a word
-  echo "luxloop: RAY_WORKERS is 0, allowed: 1 or more, for campaigns wait for a ray worker; leave it out for 1" >&2
+if [ "${RAY_WORKERS:-1}" -lt 1 ]; then # the campaign would wait for one without a word; 00 is none, too
+  echo "luxloop: RAY_WORKERS is $RAY_WORKERS, allowed: 1 or more, for campaigns wait for a ray worker;" \
+    "leave it out for 1" >&2
   exit 2
 fi
 if [ -n "${LUXLOOP_RUNS:-}" ] && [ ! -w "$LUXLOOP_RUNS" ]; then

@@ -166,10 +166,13 @@ def test_a_check_leaves_the_images_of_others_alone() -> None:
     script = (ROOT / "docker" / "check.sh").read_text()
     (tag,) = re.findall(r"^export .*IMAGE_TAG=(\w+)", script, re.MULTILINE)
     assert tag != "latest"
+    assert "down --remove-orphans" in script
     assert "down --volumes --rmi all" in script
     assert set(re.findall(r"luxloop-\$image\S*?(?=\))", script)) == {"luxloop-$image:$IMAGE_TAG"}
 
 
-def test_who_asks_for_no_ray_worker_learns_it_from_what_starts_first() -> None:
-    """The certificates' service is told how many there are to be; its enter.sh refuses 0."""
-    assert SERVICES["pc3"]["scale"] == SERVICES["certs"]["environment"]["RAY_WORKERS"] == "${RAY_WORKERS:-1}"
+def test_who_asks_for_no_ray_worker_learns_it_from_what_would_wait_for_one() -> None:
+    """The campaign is told how many there are to be; its enter.sh refuses 0. Others would be made anew."""
+    assert SERVICES["pc3"]["scale"] == "${RAY_WORKERS:-1}"
+    told = {name: service.get("environment", {}).get("RAY_WORKERS") for name, service in SERVICES.items()}
+    assert {name: number for name, number in told.items() if number} == {"campaign": "${RAY_WORKERS:-1}"}

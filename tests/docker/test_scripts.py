@@ -75,9 +75,10 @@ def test_a_uid_that_cannot_write_runs_is_told_who_can_and_what_to_do(tmp_path: P
 
 def test_no_ray_worker_is_refused_at_once(tmp_path: Path) -> None:
     """`RAY_WORKERS=0 docker compose up` waited for one without a word; other numbers, and none, pass."""
-    done = entered(tmp_path, tmp_path / "none", "echo", "started", RAY_WORKERS="0")
-    assert (done.returncode, done.stdout) == (2, "")
-    assert "RAY_WORKERS is 0, allowed: 1 or more" in done.stderr
+    for number in ("0", "00", "-1"):
+        done = entered(tmp_path, tmp_path / "none", "echo", "started", RAY_WORKERS=number)
+        assert (done.returncode, done.stdout) == (2, "")
+        assert f"RAY_WORKERS is {number}, allowed: 1 or more" in done.stderr
     for number in ("", "1", "2"):
         assert entered(tmp_path, tmp_path / "none", "true", RAY_WORKERS=number).returncode == 0
 
