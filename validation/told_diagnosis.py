@@ -137,8 +137,9 @@ def _effect(row: Document) -> tuple[str, ...]:
         held = f"{row['held_out_before']:.3g} -> {row['held_out_after']:.3g} %"
     evidence = "" if row["log_evidence"] is None else f"{row['log_evidence']:.0f}"
     share = "nothing to explain"
-    if row["explained_share_error"] is not None:
-        share = f"{100.0 * row['explained_share']:.0f} +- {100.0 * row['explained_share_error']:.0f} %"
+    if (error := row["explained_share_error"]) is not None:
+        digits = int(error < 0.0095)  # one more where whole percents would say that it is known exactly
+        share = f"{100.0 * row['explained_share']:.{digits}f} +- {100.0 * error:.{digits}f} %"
     return (
         row["name"] + (f" ({row['why_not']})" if row["why_not"] else ""),
         size_in_words(name, size["value"], size["error"], size["unit"], row["shape"], row["fits_as_well"]),

@@ -134,7 +134,10 @@ def _shape(shape: Document) -> str:
 def _share(one: Document) -> str:
     """Of the structure, in percent; empty where there is nothing to explain."""
     error = one["explained_share_error"]
-    return "" if error is None else f"{100.0 * one['explained_share']:.0f} ± {100.0 * error:.0f}"
+    if error is None:
+        return ""
+    digits = int(error < 0.0095)  # one more where whole percents would say that it is known exactly
+    return f"{100.0 * one['explained_share']:.{digits}f} ± {100.0 * error:.{digits}f}"
 
 
 def _rare(p: float) -> str:

@@ -149,6 +149,12 @@ def test_a_held_out_test_that_was_not_possible_is_no_number() -> None:
     assert "left out of the fit" not in text
 
 
+def test_a_share_that_is_known_well_has_a_decimal() -> None:
+    """Whole percents would say that it is known exactly."""
+    known = effect("edge_walls", 1650.0, explained_share=0.0712, explained_share_error=0.0043)
+    assert "1650 7.1 ± 0.4" in Parsed(page_of(diagnosis(effects=[known], set=["edge_walls"]), {})).text
+
+
 def test_where_nothing_is_visible_the_page_says_what_would_have_been() -> None:
     """Limits instead of effects; no section stands empty, and without arrays none of images."""
     parsed = loads_nothing(page_of(nothing(), {}))

@@ -293,6 +293,9 @@ def test_what_a_dropped_round_would_have_asked_for_is_not_told() -> None:
     assert Diagnosis((named,), 6).proposals == ()
     assert Diagnosis((named, asking), 6).proposals == (ANOTHER,)
     assert Diagnosis((asking, named), 6).proposals == (ANOTHER,)
+    known = replace(named.explanations[0], share=Share(0.0712, 0.0043))
+    (row,) = document(Diagnosis((replace(named, explanations=(known,)),), 6), 1)["effects"]
+    assert "7.1 +- 0.4 %" in told_diagnosis._effect(row)
     held = "But films.a.layers.0.thickness_nm is held at 28.76."
     facts = {"model": {"file": "model.toml"}, "solver": {"method": "anchored"}, "not_tested": []}
     facts |= {"held": [{"words": held}]}
