@@ -29,6 +29,7 @@ from luxloop.camera import Camera
 from luxloop.design import Design
 from luxloop.film import Spectrum
 from luxloop.model_file import find_model
+from validation.dataset.simulation_plan import paper_samples
 
 Real = NDArray[np.float64]
 PIXELS, PIXEL_UM = 42, 24.0
@@ -36,9 +37,10 @@ BLOCKS = (1, 2, 6, 21)
 
 
 def module(pairs: float, chips: int) -> Scene:
-    """The blind test's module of so many chips a side."""
-    environment = find_model("paper").environment
-    design = Design(distance_um=180.0, width_um=40.0, spacing_um=400.0, thickness_um=20.0, dbr_pairs=pairs)
+    """So many chips a side, as the paper's samples have them."""
+    environment, chip = find_model("paper").environment, paper_samples()[0]
+    sizes = {name: getattr(chip, name) for name in Design.FIELDS}
+    design = Design(**sizes | {"dbr_pairs": pairs})
     spectrum = Spectrum(peak_nm=environment.peak_nm, fwhm_nm=environment.fwhm_nm)
     film = film_table(dbr_of(environment, pairs), spectrum) if pairs else None
     return scene_of(environment, design, film, array_of(environment, design, chips, chips))
@@ -52,21 +54,16 @@ def looks(image: Real, scene: Scene) -> dict[str, Real]:
     by_y, by_x = np.gradient(image, PIXEL_UM)
     square = (x**2 + y**2) / at.max() ** 2
     stretched = by_x * x + by_y * y
-    lamps = [
-        1.0 / (1.0 + ((x - cx) ** 2 + (y - cy) ** 2) / scene.height_um**2) ** 2
-        for cx, cy in scene.layout.centres_um.reshape(-1, 2)
-    ]
-    wider = sum(
-        one * ((x - cx) ** 2 + (y - cy) ** 2) / scene.height_um**2
-        for one, (cx, cy) in zip(lamps, scene.layout.centres_um.reshape(-1, 2), strict=True)
-    )
+    centres = scene.layout.centres_um.reshape(-1, 2)
+    far = [((x - at_x) ** 2 + (y - at_y) ** 2) / scene.height_um**2 for at_x, at_y in centres]
+    lamps = [(1.0 + one) ** -2 for one in far]
     return {
         "vignetting": image * square,
         "magnification": stretched,
         "distortion": stretched * square,
         "nonlinearity": image**2,
         "ambient light": np.ones_like(image),
-        "wider spots of all chips": np.asarray(wider),
+        "wider spots of all chips": np.sum([one * lamp for one, lamp in zip(far, lamps, strict=True)], axis=0),
         "middle chip": lamps[len(lamps) // 2],
     }
 

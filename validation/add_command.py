@@ -21,7 +21,7 @@ from validation.compare_command import (
     Router,
     Runs,
     Seed,
-    traced,
+    histories_traced,
 )
 from validation.diagnose_command import Free, diagnosing, facts_of
 from validation.writing import drawn, view_of
@@ -54,7 +54,7 @@ def add(
 ) -> None:
     """Add a physical effect to the model, fitted to the data: what changes, the errors before and after, the undo."""
     with diagnosing(
-        "add", model, free=free, histories=traced(twin, histories, most_histories), seed=seed,
+        "add", model, free=free, histories=histories_traced(twin, histories, most_histories), seed=seed,
         pixel_um=pixel_um, film=film, runs=runs, router=router, no_local=no_local, say=not (as_json or quiet),
         most_histories=most_histories,
     ) as (engine, subject, at):  # fmt: skip
@@ -90,7 +90,7 @@ def remove(
     if effect not in have:
         raise InputError("EFFECT", effect, f"an effect of the model: {', '.join(have) or 'it has none'}")
     with diagnosing(
-        "remove", model, free=free, histories=traced(twin, histories, most_histories), seed=seed,
+        "remove", model, free=free, histories=histories_traced(twin, histories, most_histories), seed=seed,
         pixel_um=pixel_um, film=film, runs=runs, router=router, no_local=no_local, say=not (as_json or quiet),
         most_histories=most_histories,
     ) as (engine, subject, at):  # fmt: skip

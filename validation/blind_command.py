@@ -18,7 +18,7 @@ import typer
 from luxloop.errors import InputError
 from luxloop.settings import load_settings
 from validation.calibrate_command import LastHistories, refuse_fewer
-from validation.compare_command import Histories, Json, NoLocal, Page, Quiet, Router, traced
+from validation.compare_command import Histories, Json, NoLocal, Page, Quiet, Router, histories_traced
 from validation.writing import drawn, view_of
 
 if TYPE_CHECKING:
@@ -118,7 +118,7 @@ def diagnose(
     settings, index = load_settings(router=router), read_index(folder)
     chosen = chosen_model(folder, index, model)
     chosen_from = tuple(names_of("--among", among))
-    first = traced(twin, histories, most_histories)
+    first = histories_traced(twin, histories, most_histories)
     refuse_fewer(first, most_histories)
     solver = Solver.of_diagnosis(first, seed, most_histories)
     verdicts: Counter[str] = Counter()

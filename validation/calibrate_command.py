@@ -25,7 +25,7 @@ from validation.compare_command import (
     Runs,
     Seed,
     errors_of,
-    traced,
+    histories_traced,
 )
 from validation.writing import drawn, view_of
 
@@ -88,7 +88,7 @@ def calibrate(
     from validation.session import session, subject_of
 
     draw = view_of("calibration", page) if page is not None else None
-    first = traced(twin, histories, most_histories)
+    first = histories_traced(twin, histories, most_histories)
     most = max(MOST_HISTORIES, first or 0) if most_histories is None else most_histories
     refuse_fewer(first, most)
     settings = load_settings(runs=runs, router=router)

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import typer
 from scipy.special import gammaincinv  # scipy.stats takes a second to import
 
 from validation.dataset.checks import check
@@ -26,14 +25,6 @@ def faults_of(folder: Path) -> Iterator[str]:
     if errors:
         more = f", and {len(errors) - 1} more" if len(errors) > 1 else ""
         yield f"the data have errors, so the verdict may be wrong: {errors[0]}{more}; luxloop dataset check {folder}"
-
-
-def told_faults(folder: Path, say: bool) -> list[str]:
-    """The same for a document's warnings; on stderr where `say`, before a command's work begins."""
-    faults = list(faults_of(folder))
-    for fault in faults if say else ():
-        typer.echo(f"luxloop: {fault}", err=True)
-    return faults
 
 
 def overstated_of(found: Fit, shots: Sequence[Mapping[str, Any]]) -> Iterator[str]:

@@ -58,7 +58,7 @@ def compare(
     quiet: Quiet = False,
 ) -> None:
     """Compare a model with measurements: error, noise, p-value of every shot. The model file remembers the data."""
-    at = Asked("compare", model, dataset, traced(twin, histories), seed, pixel_um, film, page)
+    at = Asked("compare", model, dataset, histories_traced(twin, histories), seed, pixel_um, film, page)
     at.done(no_local, runs, router, say=not (as_json or quiet), as_json=as_json)
 
 
@@ -77,7 +77,7 @@ def where(
     quiet: Quiet = False,
 ) -> None:
     """See where the model fails: the regions that are least like noise, and a page with the residuals drawn."""
-    at = Asked("where", model, None, traced(twin, histories), seed, pixel_um, film, page)
+    at = Asked("where", model, None, histories_traced(twin, histories), seed, pixel_um, film, page)
     at.done(no_local, runs, router, say=not (as_json or quiet), as_json=as_json)
 
 
@@ -140,7 +140,7 @@ class Asked:
             subject.saved(subject.with_data, f"compare {subject.dataset.folder.name}", errors_of(found))
 
 
-def traced(twin: bool, histories: int | None, most_histories: int | None = None) -> int | None:
+def histories_traced(twin: bool, histories: int | None, most_histories: int | None = None) -> int | None:
     """Histories of Monte Carlo for each sample; None: the twin alone, beside which InputError names those."""
     if not twin:
         return HISTORIES if histories is None else histories

@@ -27,7 +27,7 @@ from validation.compare_command import (
     Router,
     Runs,
     Seed,
-    traced,
+    histories_traced,
 )
 from validation.writing import drawn, view_of
 
@@ -149,7 +149,7 @@ def diagnose(
 
     draw = view_of("diagnosis", page) if page is not None else None
     with diagnosing(
-        "diagnose", model, free=free, histories=traced(twin, histories, most_histories), seed=seed,
+        "diagnose", model, free=free, histories=histories_traced(twin, histories, most_histories), seed=seed,
         pixel_um=pixel_um, film=film, runs=runs, router=router, no_local=no_local, say=not (as_json or quiet),
         among=names_of("--among", among), most_histories=most_histories,
     ) as (engine, subject, at):  # fmt: skip
@@ -198,7 +198,7 @@ def next_(
 
     rivals = effects or rivals_of(model)
     with diagnosing(
-        "next", model, free=free, histories=traced(twin, histories, most_histories), seed=seed,
+        "next", model, free=free, histories=histories_traced(twin, histories, most_histories), seed=seed,
         pixel_um=pixel_um, film=film, runs=runs, router=router, no_local=no_local, say=not (as_json or quiet),
         most_histories=most_histories,
     ) as (engine, subject, at):  # fmt: skip

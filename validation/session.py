@@ -29,7 +29,7 @@ from luxloop.model import Data, Model
 from luxloop.model_file import SHIPPED, find_model, parse_toml, read_text, to_toml
 from luxloop.settings import Settings, usable_cache
 from validation.asked import COMMAND, Asking
-from validation.cautions import told_faults
+from validation.cautions import faults_of
 from validation.dataset.folder import Dataset, read_dataset
 from validation.dataset.manifest_file import MANIFEST
 from validation.effects.known import Known
@@ -157,7 +157,9 @@ def session(
     Faults of the data are told first. Raises RemoteError where the controller refuses or cannot be reached.
     """
     usable_cache(settings)
-    faults = tuple(told_faults(subject.dataset.folder, say))
+    faults = tuple(faults_of(subject.dataset.folder))
+    if say:
+        sys.stderr.writelines(f"luxloop: {fault}\n" for fault in faults)
     name = f"{datetime.now(UTC):%Y%m%d-%H%M%S}-{command}-{os.getpid()}"
     with Client(settings, local=local, patience_s=PATIENCE_S) as client:
         facts = {"argv": sys.argv[1:], "version": __version__, "dataset_sha256": subject.dataset.sha256}

@@ -138,7 +138,7 @@ def _effect(row: Document) -> tuple[str, ...]:
     evidence = "" if row["log_evidence"] is None else f"{row['log_evidence']:.0f}"
     share = "nothing to explain"
     if (error := row["explained_share_error"]) is not None:
-        digits = int(error < 0.0095)  # one more where whole percents would say that it is known exactly
+        digits = (error < 0.0095) + (error < 0.00095)  # whole percents would say that it is known exactly
         share = f"{100.0 * row['explained_share']:.{digits}f} +- {100.0 * error:.{digits}f} %"
     return (
         row["name"] + (f" ({row['why_not']})" if row["why_not"] else ""),

@@ -136,7 +136,7 @@ def _share(one: Document) -> str:
     error = one["explained_share_error"]
     if error is None:
         return ""
-    digits = int(error < 0.0095)  # one more where whole percents would say that it is known exactly
+    digits = (error < 0.0095) + (error < 0.00095)  # whole percents would say that it is known exactly
     return f"{100.0 * one['explained_share']:.{digits}f} ± {100.0 * error:.{digits}f}"
 
 

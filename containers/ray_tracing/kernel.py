@@ -310,7 +310,7 @@ def _choose_chip(emission: EmissionArrays, u: float, ray: Real) -> None:
 
 @inlined_kernel
 def _in_turn(number: np.uint64, shift: float) -> float:
-    """Multiples of the golden section, mod 1: any run of numbers gives each chip its share, but for one or two."""
+    """Multiples of the golden section, mod 1: any run of numbers gives each chip its share, to a few."""
     u = shift + float((number * _GOLDEN) >> _ELEVEN) * 2.0**-53
     return u - 1.0 if u >= 1.0 else u
 

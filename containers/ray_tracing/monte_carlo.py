@@ -22,7 +22,7 @@ BLOCK = 1024
 """Histories of a group that belong together; a run is a whole number of them."""
 CHUNK_S = 0.1
 """About as long one call of a kernel takes, so that progress is told and a stop is heard."""
-SURVIVAL, OF_MODULE = 0.35, 1.0
+SURVIVAL, SURVIVAL_OF_MODULE = 0.35, 1.0
 """Chance that light goes on from the receiver, in a cell and in a finite module. Measured on S_b3: 1 needs 1.4 times
 the time for the same error of U, 0.1 twice, in both shipped models; what comes back from above is smooth, and its
 noise counts little. Images of modules are looked at for what is smooth, too: on 5 x 5 chips 0.35 needs 1.3 to 1.6
@@ -84,7 +84,7 @@ class MonteCarlo:
 
 def survival_of(scene: Scene) -> float:
     """The chance that light goes on from a scene's receiver."""
-    return OF_MODULE if isinstance(scene.layout, Array) else SURVIVAL
+    return SURVIVAL_OF_MODULE if isinstance(scene.layout, Array) else SURVIVAL
 
 
 def blocks_of(histories: int, groups: int = GROUPS) -> int:

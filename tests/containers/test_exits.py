@@ -65,6 +65,29 @@ def test_stored_exits_give_each_chip_its_share() -> None:
         assert counts == pytest.approx([250.0, 500.0, 750.0], abs=2.0)
 
 
+def test_the_light_of_a_module_is_the_same_however_its_chips_take_turns() -> None:
+    """Chips of unlike powers, two of them displaced: drawn evenly, by chance, or in turn; all light from the receiver
+    followed, or a part of it. First and later light above each chip, and all ends."""
+    offset_um = np.array([[(20.0, 0.0), (0.0, -15.0), (0.0, 0.0)]])
+    of = scene(
+        layout=replace(Array.regular(1, 3, 300.0), power=np.array([[1.0, 2.0, 3.0]]), offset_um=offset_um),
+        receiver=lambertian_receiver(0.6),
+    )
+    even = MonteCarlo(of, 1).run_to(4096)
+    x_um = even.box.x0_um + (np.arange(even.bins.shape[3]) + 0.5) * even.box.step_um
+
+    def lots(tally: Tally) -> list[Any]:
+        above = [np.abs(x_um - at) < 100.0 for at in (-280.0, 0.0, 300.0)]
+        light = [tally.bins[:, layer][:, :, chip].sum(axis=(1, 2)) for layer in (0, 1) for chip in above]
+        return [one / tally.histories for one in (*light, *tally.ledger.T[:6])]
+
+    others = MonteCarlo(of, 2, sobol=False, survival=0.35).run_to(4096), landed(of, make_exits(of, 7, 4 * BLOCK))
+    for other in others:
+        for ours, theirs in zip(lots(even), lots(other), strict=True):
+            (x, e), (y, f) = mean_and_error(ours), mean_and_error(theirs)
+            assert abs(x - y) <= 4.5 * np.hypot(e, f) + 1e-9
+
+
 def test_a_smaller_set_is_the_beginning_of_a_larger_one() -> None:
     """Group by group, to the last bit: rays, notes and ledgers."""
     small, large = (make_exits(scene(), 5, blocks * BLOCK, groups=4, notes=True) for blocks in (1, 3))

@@ -104,8 +104,8 @@ def test_histories_beside_the_twin_are_refused(
 
 def test_without_the_twin_histories_are_those_asked_for_or_four_million() -> None:
     """None: the twin alone."""
-    assert [compare_command.traced(False, None), compare_command.traced(False, 32_768)] == [4_000_000, 32_768]
-    assert compare_command.traced(True, None) is None
+    histories = compare_command.histories_traced
+    assert [histories(False, None), histories(False, 32_768), histories(True, None)] == [4_000_000, 32_768, None]
 
 
 @pytest.mark.parametrize(("first", "last"), [(4_000_000, 0), (4_000_000, None), (None, 5), (5, 5)])

@@ -149,10 +149,11 @@ def test_a_held_out_test_that_was_not_possible_is_no_number() -> None:
     assert "left out of the fit" not in text
 
 
-def test_a_share_that_is_known_well_has_a_decimal() -> None:
+def test_a_share_that_is_known_well_has_decimals() -> None:
     """Whole percents would say that it is known exactly."""
-    known = effect("edge_walls", 1650.0, explained_share=0.0712, explained_share_error=0.0043)
-    assert "1650 7.1 ± 0.4" in Parsed(page_of(diagnosis(effects=[known], set=["edge_walls"]), {})).text
+    for error, told in ((0.0095, "7 ± 1"), (0.0043, "7.1 ± 0.4"), (0.0004, "7.12 ± 0.04"), (0.0, "7.12 ± 0.00")):
+        known = effect("edge_walls", 1650.0, explained_share=0.0712, explained_share_error=error)
+        assert f"1650 {told} " in Parsed(page_of(diagnosis(effects=[known], set=["edge_walls"]), {})).text
 
 
 def test_where_nothing_is_visible_the_page_says_what_would_have_been() -> None:
