@@ -23,7 +23,6 @@ from luxloop.client import Client
 from luxloop.model_file import find_model
 from luxloop.settings import load_settings
 from validation.comparing import Solver
-from validation.contrasts.structure import fit_projection
 from validation.dataset.folder import read_dataset
 from validation.dataset.simulate import exposed, views_of, write_dataset
 from validation.dataset.simulation_plan import Plan, read_plan
@@ -65,7 +64,7 @@ def about(fit: Fit, anchor: Anchored) -> Fit:
 
 def information(fit: Fit, engine: Diagnosing) -> dict[str, tuple[str, float]]:
     """Of each column that is no group and not nearly what is fitted: its effect, its square beside the fit."""
-    projected = Projected.of(engine.signatures(fit, engine.effects), fit_projection(fit))
+    projected = Projected.of(engine.signatures(fit, engine.effects), fit.basis)
     squares = np.diagonal(projected.gram)
     return {
         str(one.key): (one.effect.name, float(squares[part.start]))

@@ -39,7 +39,7 @@ from luxloop.model_file import find_model
 from luxloop.settings import load_settings
 from validation.comparing import Solver
 from validation.contrasts.null import Variances, null
-from validation.contrasts.structure import fit_layout, fit_projection, judged
+from validation.contrasts.structure import fit_layout, judged
 from validation.dataset.manifest import CameraFacts, ImageShot, Sample
 from validation.dataset.simulate import DECLARED, expected_images, paper_plan, views_of
 from validation.diagnose.explanation import LEVEL
@@ -194,7 +194,7 @@ def drawn(
         other = prepared[2] if prepared else here.other_columns(white, here.others())
         one = conclude(here, white, reduced, columns, crossed(here, white, reduced, columns, other), 1, True, other)
         if prepared is None:
-            layout, projection = fit_layout(one), fit_projection(one)
+            layout, projection = fit_layout(one), one.basis
             variances = Variances.of(layout, projection)
             drawn_null = null(layout, projection, variances.weight, NULL_DRAWS, seed)
             there_too = replace(one, model=there.model, values=there.values)  # one model for both patterns

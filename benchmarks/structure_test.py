@@ -21,7 +21,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from tests.validation.analytic import ARRAY, HALO, MODEL, PATHS, REACH, SIGMA, SINGLE, Spots, blank, measured
 from validation.contrasts.null import Variances, null
-from validation.contrasts.structure import fit_layout, fit_projection, judged, structure
+from validation.contrasts.structure import fit_layout, judged, structure
 from validation.fit import Fit, fit
 
 TRUTH = MODEL.with_value(SIGMA, 6.0).with_value(HALO, 0.7).with_value(REACH, 0.5)
@@ -56,7 +56,7 @@ def alarms(fits: int = 600) -> None:
     for seed in range(fits):
         one = fitted(seed, 20, 3, 0.003)
         if seed == 0:  # the null hardly depends on where the fit ends: one serves all
-            layout, projection = fit_layout(one), fit_projection(one)
+            layout, projection = fit_layout(one), one.basis
             variances = Variances.of(layout, projection)
             drawn = null(layout, projection, variances.weight, 20_000)
         p_values.append(judged(one.residual, layout, projection, variances, drawn).p)

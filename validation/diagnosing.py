@@ -15,7 +15,7 @@ from luxloop.effect import EffectSpec, Value
 from luxloop.errors import InputError, RemoteError
 from luxloop.model import Model
 from validation.comparing import Solver
-from validation.contrasts.structure import DRAWS, fit_projection
+from validation.contrasts.structure import DRAWS
 from validation.diagnose.by_sample import is_by_sample, with_members_free, with_own_values
 from validation.diagnose.columns import FitSight, candidates_of
 from validation.diagnose.diagnosis import Means, diagnosed
@@ -138,7 +138,7 @@ class Diagnosing:
 
     def scored(self, found: Fit, effects: Sequence[EffectSpec]) -> dict[str, Score]:
         """Effects at their best shape on a fit, by name; InputError for one that these data cannot show."""
-        projected = Projected.of(self.signatures(found, effects), fit_projection(found))
+        projected = Projected.of(self.signatures(found, effects), found.basis)
         impossible = next((one.name for one in effects if one.name in self.refused), None)
         if impossible is not None:
             allowed = "an effect that these samples can have"
@@ -147,7 +147,7 @@ class Diagnosing:
             name = projected.untestable[0]
             allowed, mend = "an effect that these data can show", "what is fitted anyway does all that it does"
             raise InputError("EFFECT", name, allowed, mend)
-        tested = scores(projected, found.residual, found.variance_scale, seed=self.solver.seed)
+        tested = scores(projected, found.residual_with_priors, found.variance_scale, seed=self.solver.seed)
         return {one.name: one.best for one in tested.effects}
 
     def refitted(self, found: Fit, effect: EffectSpec) -> Refitted:

@@ -25,6 +25,7 @@ from validation.diagnose.verdict import (
     Verdict,
     concluded,
     decided,
+    further_in_words,
     is_visible,
     told_of_rest,
 )
@@ -70,7 +71,7 @@ def _rest(document: Document, first: Verdict, tried: Sequence[Explanation]) -> s
     added = document["added"]
     if not added:
         return ""
-    further = [f"{row['name']} ({row['size']})" for row in added[1:]]
+    further = [further_in_words(row["name"], row["size"], row.get("rivals", ())) for row in added[1:]]
     before = told_of_rest(first, (), further, 1.0)
     told = told_of_rest(first, tried, further, added[-1]["p_left"])
     return before if document["sentence"] == first.sentence + before else told

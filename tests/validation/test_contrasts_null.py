@@ -10,9 +10,9 @@ from scipy.stats import ks_2samp, kstest
 
 from tests.validation.analytic import ARRAY, HALO, MODEL, PATHS, REACH, SIGMA, SINGLE, Spots, blank, measured, spots
 from validation.contrasts.families import layout_of
-from validation.contrasts.null import Null, Projection, Standard, Variances, null
+from validation.contrasts.null import Null, Standard, Variances, null
 from validation.contrasts.places import Picture
-from validation.contrasts.structure import counted_p, families_moved, fit_layout, fit_projection, judged, structure
+from validation.contrasts.structure import counted_p, families_moved, fit_layout, judged, structure
 from validation.fit import fit
 from validation.fit.least_squares import Parameter, basis, reduce
 from validation.fit.whitening import variance_scales
@@ -43,7 +43,7 @@ def test_p_values_are_uniform_after_refit(fits):
 
     One null serves all fits, so it has enough draws that its own scatter is none of theirs.
     """
-    layout, projection = fit_layout(fits[0]), fit_projection(fits[0])
+    layout, projection = fit_layout(fits[0]), fits[0].basis
     variances = Variances.of(layout, projection)
     drawn = null(layout, projection, variances.weight, 5000)
     found = [judged(one.residual, layout, projection, variances, drawn) for one in fits]
@@ -73,12 +73,11 @@ def test_variances_are_those_of_projected_noise():
     one = _fitted(1, side=12)
     layout, random = fit_layout(one), np.random.default_rng(2)
     basis = one.basis
-    projection = Projection(basis.data, basis.prior)
     y = random.standard_normal((len(basis.data), 4000))
     u = random.standard_normal((len(basis.prior), 4000))
     left = y - basis.data @ (basis.data.T @ y + basis.prior.T @ u)
     drawn = layout.contrasts(layout.cells @ left).var(axis=1)
-    variances = Variances.of(layout, projection).variance
+    variances = Variances.of(layout, basis).variance
     kept = variances > 0.01
     np.testing.assert_allclose(drawn[kept] / variances[kept], 1.0, atol=0.15)
 
@@ -86,7 +85,7 @@ def test_variances_are_those_of_projected_noise():
 def test_drawing_cells_is_drawing_pixels():
     """Energies drawn by cells have the mean and the spread of those of residuals drawn pixel by pixel."""
     one = _fitted(1, side=12)
-    layout, projection = fit_layout(one), fit_projection(one)
+    layout, projection = fit_layout(one), one.basis
     weight = Variances.of(layout, projection).weight
     drawn = null(layout, projection, weight, 4000, seed=3)
     random = np.random.default_rng(4)
@@ -107,7 +106,7 @@ def test_drawing_cells_is_drawing_pixels():
 def test_peaks_are_nearly_normal_equivalents():
     """Of contrasts as many as counted, the peak's z is hardly above a normal one; the largest peaks stay finite."""
     one = _fitted(1, side=24)
-    layout, projection = fit_layout(one), fit_projection(one)
+    layout, projection = fit_layout(one), one.basis
     drawn = null(layout, projection, Variances.of(layout, projection).weight, 4000, seed=3)
     z = drawn.peak_z(drawn.peaks)
     assert 0.3 < np.mean(z > 1.645) / 0.05 < 1.3  # blocks hold one another: they count for fewer
@@ -117,7 +116,7 @@ def test_peaks_are_nearly_normal_equivalents():
 def test_same_seed_same_null_and_another_seed_another():
     """A null is made by its seed alone, kept in memory and in a folder."""
     one = _fitted(1, side=12)
-    layout, projection = fit_layout(one), fit_projection(one)
+    layout, projection = fit_layout(one), one.basis
     weight = Variances.of(layout, projection).weight
     first, again = (null(layout, projection, weight, 50, seed=s).energies for s in (5, 5))
     np.testing.assert_array_equal(first, again)
@@ -127,7 +126,7 @@ def test_same_seed_same_null_and_another_seed_another():
 def test_a_null_is_read_back_from_its_folder(tmp_path, monkeypatch):
     """What was drawn is written once; a later process reads it, bit for bit."""
     one = _fitted(2, side=12)
-    layout, projection = fit_layout(one), fit_projection(one)
+    layout, projection = fit_layout(one), one.basis
     weight = Variances.of(layout, projection).weight
     monkeypatch.setattr("validation.contrasts.null._REMEMBERED", {})
     first = null(layout, projection, weight, 40, cache=tmp_path).energies
@@ -141,7 +140,7 @@ def test_a_null_is_read_back_from_its_folder(tmp_path, monkeypatch):
 def test_a_damaged_null_is_drawn_again(tmp_path, monkeypatch, damage):
     """What a power cut left, what is of another layout, and a folder that is a file: none ends a diagnosis."""
     one = _fitted(2, side=12)
-    layout, projection = fit_layout(one), fit_projection(one)
+    layout, projection = fit_layout(one), one.basis
     weight = Variances.of(layout, projection).weight
     cache = tmp_path / "nulls"
     monkeypatch.setattr("validation.contrasts.null._REMEMBERED", {})
@@ -165,7 +164,7 @@ def test_old_nulls_go(tmp_path, monkeypatch):
     """A fit that is not made again never asks for its own."""
     monkeypatch.setattr("validation.contrasts.null._MOST_KEPT", 3)
     one = _fitted(2, side=12)
-    layout, projection = fit_layout(one), fit_projection(one)
+    layout, projection = fit_layout(one), one.basis
     weight = Variances.of(layout, projection).weight
     for seed in range(1, 6):
         null(layout, projection, weight, 20, seed=seed, cache=tmp_path)
@@ -209,7 +208,7 @@ def test_noise_of_the_monte_carlo_is_no_structure():
 def test_a_known_error_is_weighed_against_each_family():
     """What the fit takes up moves no family; a bump moves blocks by the square of its size."""
     one = _fitted(1)
-    layout, projection = fit_layout(one), fit_projection(one)
+    layout, projection = fit_layout(one), one.basis
     weight = Variances.of(layout, projection).weight
     drawn: Null = null(layout, projection, weight, 300)
     absorbed = families_moved(layout, projection, drawn, weight, one.columns[0])
@@ -232,13 +231,12 @@ def test_errors_of_priors_are_in_the_null():
     column, random = np.ones(side**2), np.random.default_rng(5)
     reduced = reduce(column[None], 0.0 * column, (Parameter("level", prior_sd=sd),), np.zeros(1))
     taken = basis(column[None], reduced, np.ones(1, bool))
-    projection = Projection(taken.data, taken.prior)
-    assert projection.freedom == pytest.approx(side**2 - 0.5)
-    weight = Variances.of(layout, projection).weight
+    assert taken.freedom == pytest.approx(side**2 - 0.5)
+    weight = Variances.of(layout, taken).weight
     data = sd * random.standard_normal(draws) * column[:, None] + random.standard_normal((side**2, draws))
     left = data - column[:, None] * (column @ data) / (side**2 + 1.0 / sd**2)
     expected = layout.energies(layout.cells @ left, weight).mean(axis=1)
-    found = null(layout, projection, weight, draws, seed=3).energies.mean(axis=1)
+    found = null(layout, taken, weight, draws, seed=3).energies.mean(axis=1)
     np.testing.assert_allclose(found, expected, rtol=0.1)
     whole = layout.members.index(("blocks of 16", "a"))
     assert found[whole] == pytest.approx(1.0, abs=0.1)

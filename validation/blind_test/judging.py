@@ -28,7 +28,7 @@ from validation.blind_test.folders import SCHEMA, SETS, Entry, Index, model_of, 
 from validation.blind_test.records import maps_path, record_path
 from validation.blind_test.seals import seal_on
 from validation.comparing import Solver
-from validation.contrasts.structure import fit_projection, judged
+from validation.contrasts.structure import judged
 from validation.dataset.folder import read_dataset
 from validation.diagnose.anew import thawed
 from validation.diagnose.arrays import arrays_of
@@ -111,9 +111,8 @@ class SharedDiagnosing(Diagnosing):
         if first is None or len(first.fit.residual) != len(found.residual):
             self.shared.ground = super().ground(found)
             return self.shared.ground
-        projection = fit_projection(found)
-        structure = judged(found.residual, first.null.layout, projection, first.variances, first.null)
-        return replace(first, fit=found, structure=structure, projection=projection)
+        structure = judged(found.residual, first.null.layout, found.basis, first.variances, first.null)
+        return replace(first, fit=found, structure=structure)
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from luxloop.effect import EffectSpec
 from validation import blind
 from validation.blind_test.truths import Truth
-from validation.contrasts.structure import fit_projection
 from validation.dataset.images import binned_mean
 from validation.diagnose.columns import FitSight, candidates_of
 from validation.diagnose.groups import joined
@@ -93,12 +92,12 @@ class Ruler:
     def left(self, change_dn: Sequence[Real]) -> Real:
         """Whitened rows (row,) of a change of all images (row, column) in DN, as far as no fit takes it away."""
         rows = self.fit.whitening.rows([binned_mean(image, self.binning) for image in change_dn])
-        return fit_projection(self.fit).residual(rows)
+        return np.asarray(self.fit.basis.left(rows[None])[0])
 
     def rivals(self, predictor: Predictor, known: Known, effects: Sequence[EffectSpec]) -> Projected:
         """The columns of all effects of the catalogue here, each in all of its shapes."""
         sight = FitSight.of(self.fit, predictor, known.beyond_twin)
-        return Projected.of(joined(candidates_of(self.fit, effects, sight, refused={})), fit_projection(self.fit))
+        return Projected.of(joined(candidates_of(self.fit, effects, sight, refused={})), self.fit.basis)
 
 
 def sigma_of(halves: Halves) -> float:

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from scipy.special import log_ndtr, ndtri_exp  # scipy.stats takes a second to import
 
 from validation.contrasts.families import Layout
+from validation.fit.least_squares import Basis
 from validation.fit.whitening import HELD_SD, SCALE_PRIOR_SD, held_scales
 
 Real = NDArray[np.float64]
@@ -32,23 +33,6 @@ VANISHED = 1e-6  # share of a contrast's variance below which the fit has taken 
 
 
 @dataclass(frozen=True, eq=False)
-class Projection:
-    """What a fit does to white noise."""
-
-    data: Real  # (row, parameter), orthonormal together with `prior`
-    prior: Real  # (prior, parameter)
-
-    @property
-    def freedom(self) -> float:
-        """Degrees of freedom left in the data."""
-        return len(self.data) - float(np.sum(self.data**2))
-
-    def residual(self, rows: Real) -> Real:
-        """What the fit leaves of whitened rows (row,)."""
-        return np.asarray(rows - self.data @ (self.data.T @ rows))
-
-
-@dataclass(frozen=True, eq=False)
 class Variances:
     """Of all linear contrasts under the null: exact, none drawn."""
 
@@ -56,7 +40,7 @@ class Variances:
     weight: Real  # 1 / variance, 0 for contrasts that the fit takes away
 
     @classmethod
-    def of(cls, layout: Layout, projection: Projection) -> Variances:
+    def of(cls, layout: Layout, projection: Basis) -> Variances:
         """The variances of a layout's contrasts after a fit."""
         pixels = layout.contrasts(layout.pixels[:, None])[:, 0]
         taken = layout.contrasts(layout.cells @ projection.data)
@@ -144,7 +128,7 @@ _MOST_KEPT = 64
 
 def null(
     layout: Layout,
-    projection: Projection,
+    projection: Basis,
     weight: Real,
     draws: int = 10_000,
     seed: int = 1,
@@ -167,7 +151,7 @@ def null(
     return Null(layout, energies, peaks, seed)
 
 
-def _draw(layout: Layout, projection: Projection, weight: Real, draws: int, seed: int) -> Single:
+def _draw(layout: Layout, projection: Basis, weight: Real, draws: int, seed: int) -> Single:
     """(energies, then peaks; draw)."""
     random = np.random.Generator(np.random.SFC64(seed))
     machine = _Machine.of(layout, projection, weight)
@@ -191,7 +175,7 @@ class _Machine:
     freedom: float
 
     @classmethod
-    def of(cls, layout: Layout, projection: Projection, weight: Real) -> _Machine:
+    def of(cls, layout: Layout, projection: Basis, weight: Real) -> _Machine:
         data, columns = projection.data, projection.data.T
         root = np.sqrt(layout.pixels)
         over_cells = (layout.cells @ columns.T).T / root
@@ -238,7 +222,7 @@ def _lengths2(draws: Single) -> Single:
     return np.asarray(np.ones(len(draws), np.float32) @ draws**2)
 
 
-def _key(layout: Layout, projection: Projection, draws: int, seed: int) -> str:
+def _key(layout: Layout, projection: Basis, draws: int, seed: int) -> str:
     """A hash of all that a null depends on."""
     digest = hashlib.sha256(
         f"{draws} {seed} {SCALE_PRIOR_SD} {HELD_SD} {layout.members} {list(layout.places)}".encode()

@@ -19,11 +19,12 @@ from numpy.typing import NDArray
 from scipy.special import log_ndtr, ndtri  # scipy.stats takes a second to import
 
 from validation.contrasts.families import CELLS, Layout, layout_of
-from validation.contrasts.null import Null, Projection, Variances, null
+from validation.contrasts.null import Null, Variances, null
 from validation.contrasts.places import picture
 from validation.fit.whitening import grids_of, held_scale
 
 if TYPE_CHECKING:
+    from validation.fit.least_squares import Basis
     from validation.fit.result import Fit
 
 Real = NDArray[np.float64]
@@ -101,7 +102,7 @@ class Structure:
 
 def structure(fit: Fit, draws: int = DRAWS, seed: int = 1, cache: Path | None = None) -> Structure:
     """Whether a fit has left more than noise, and where; `cache`: a folder that keeps nulls."""
-    layout, projection = fit_layout(fit), fit_projection(fit)
+    layout, projection = fit_layout(fit), fit.basis
     variances = Variances.of(layout, projection)
     drawn = null(layout, projection, variances.weight, draws, seed, cache)
     doubts = _doubts(families_moved(layout, projection, drawn, variances.weight, fit.carried))
@@ -118,12 +119,7 @@ def fit_layout(fit: Fit) -> Layout:
     return layout_of(pictures, [(curve.id, curve.axis, curve.axis_unit) for curve in fit.problem.curves])
 
 
-def fit_projection(fit: Fit) -> Projection:
-    """What the fit does to noise."""
-    return Projection(fit.basis.data, fit.basis.prior)
-
-
-def judged(residual: Real, layout: Layout, projection: Projection, variances: Variances, drawn: Null) -> Structure:
+def judged(residual: Real, layout: Layout, projection: Basis, variances: Variances, drawn: Null) -> Structure:
     """The verdict on a whitened residual against its null."""
     chi2 = float(residual @ residual)
     scale = held_scale(chi2, projection.freedom)
@@ -159,7 +155,7 @@ def counted_p(null_values: Real, value: float) -> tuple[float, str]:
     return p, f"{p:.2g}" if above else f"< 1/{draws}"
 
 
-def families_moved(layout: Layout, projection: Projection, drawn: Null, weight: Real, rows: Real) -> dict[str, float]:
+def families_moved(layout: Layout, projection: Basis, drawn: Null, weight: Real, rows: Real) -> dict[str, float]:
     """How far an error (whitened rows) moves each family, in that family's standard deviations under the null."""
     left = projection.residual(rows)
     moved = layout.family_sums @ layout.energies((layout.cells @ left)[:, None], weight)[:, 0]

@@ -148,7 +148,7 @@ def _by_sample(
     for sample in dict.fromkeys(one.sample for one in columns):
         some = tuple(one for one in columns if one.sample == sample)
         rows = _left(base, some, projection)
-        along, gram = rows @ base.residual, rows @ rows.T
+        along, gram = rows @ base.residual_with_priors, rows @ rows.T
         sizes = zip(some, np.linalg.lstsq(gram, along, rcond=1e-10)[0], strict=True)
         size = np.array([_within(_parameter(spec, one), float(value)) for one, value in sizes])
         found[sample] = Own(shape, some, size, float(2.0 * along @ size - size @ gram @ size))
@@ -164,7 +164,7 @@ def _with_spread(
         raise InputError("EFFECT", spec.name, "an effect on modules of several chips", mend)
     columns = [column for one in own.values() for column in one.columns]
     _, upper = limits_of(_parameter(spec, columns[0]))
-    spread, size, _ = drawn_back(_left(base, columns, projection), base.residual, upper)
+    spread, size, _ = drawn_back(_left(base, columns, projection), base.residual_with_priors, upper)
     ends = np.cumsum([len(one.columns) for one in own.values()])[:-1]
     parts = np.split(size, ends)
     return {sample: replace(one, size=part) for (sample, one), part in zip(own.items(), parts, strict=True)}, spread
@@ -195,7 +195,7 @@ def _begun(
 def _left(base: Fit, columns: Sequence[Column], projection: Projection) -> Real:
     """Whitened columns, less what the fit's own parameters do."""
     rows = np.array([projection.rows(one) for one in columns])
-    return np.asarray(rows - (rows @ base.basis.data) @ base.basis.data.T)
+    return base.basis.left(rows)
 
 
 def _members(own: Mapping[str, Own]) -> list[tuple[Member, Column]]:

@@ -27,7 +27,7 @@ from validation.diagnose.score import Candidate, Projected, Scores, scores
 from validation.diagnose.tried import GroundOf, MembersFit, Progress, Tried, columns_of, short_list
 from validation.diagnose.verdict import Verdict, decided, is_visible, not_trustworthy, nothing_visible
 from validation.effects.confounding import Confounding, confounding
-from validation.fit import NOT_CONVERGED, Fit
+from validation.fit import AT_LIMIT, NOT_CONVERGED, Fit
 
 MOST_STEPS = 3
 LEAST_SEEN = 0.25
@@ -126,7 +126,7 @@ def _step(ground: Ground, effects: Sequence[EffectSpec], means: Means, seed: int
         nothing = nothing_visible(limits_in_words(scored, level), more_in_words(fit))
         verdict = not_trustworthy(fit.distrust) if fit.distrust else nothing
         return Step(ground, scored, alike, (), (), verdict)
-    tried = Tried(ground, projected, best, short_list(scored, alike))
+    tried = Tried(ground, projected, best, short_list(fit, scored, alike))
     tried.refit(means.progress)
     tried.finish(means.progress)
     tried.look_into_group(means.members_fit, means.ground_of)
@@ -135,8 +135,8 @@ def _step(ground: Ground, effects: Sequence[EffectSpec], means: Means, seed: int
 
 
 def _scored(ground: Ground, candidates: Sequence[Candidate], seed: int) -> tuple[Projected, Scores]:
-    projected = Projected.of(candidates, ground.projection)
-    return projected, scores(projected, ground.fit.residual, ground.fit.variance_scale, seed=seed)
+    projected = Projected.of(candidates, ground.fit.basis)
+    return projected, scores(projected, ground.fit.residual_with_priors, ground.fit.variance_scale, seed=seed)
 
 
 def blurred(scored: Scores) -> set[str]:
@@ -154,6 +154,6 @@ def beyond_limits(fit: Fit) -> list[str]:
 
     It drives parameters to their limits, and leaves a bent valley in which the last steps gain little.
     """
-    excused = tuple(f"{name} is at" for name in fit.at_limit)
+    excused = tuple(f"{name}{AT_LIMIT}" for name in fit.at_limit)
     excused += (NOT_CONVERGED,) if fit.gap < LITTLE * fit.chi2 else ()
     return [reason for reason in fit.distrust if not reason.startswith(excused)] if excused else [*fit.distrust]

@@ -51,6 +51,7 @@ def document(found: Diagnosis, seed: int) -> dict[str, Any]:
         "added": [
             {"name": one.best.name, "size": one.best.size, "p_left": one.best.p_left, "share": one.best.share.value,
                 "share_error": finite(one.best.share.error), "leads_on": one.leads_to is not None,
+                "rivals": list(one.rivals),
                 "beside": None if one.beside is None else list(one.beside)}
             for one in found.steps if one.verdict.names
         ],

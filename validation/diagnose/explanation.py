@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from luxloop.effect import Value
 from validation.diagnose.explained import Share
 from validation.diagnose.held_out import Change
+from validation.fit import AT_LIMIT
 
 LEVEL = 0.01
 FOLLOWS = "follows the field"
@@ -49,6 +50,12 @@ class Explanation:
     """Length of its whitened image after what is fitted has been projected out."""
     sigma_rival: dict[str, float]
     """The same also after each rival."""
+
+    def doubts(self, level: float = LEVEL) -> tuple[str, ...]:
+        """Why the fit with it may not be trusted; where structure is left, but for limits, to which what is missing
+        yet drives parameters."""
+        leaves = self.p_left < level / 2.0
+        return tuple(one for one in self.distrust if not (leaves and AT_LIMIT in one))
 
     @property
     def why_not(self) -> str:

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from validation.contrasts.null import Null, Projection, Variances, null
-from validation.contrasts.structure import Structure, fit_layout, fit_projection, judged
+from validation.contrasts.null import Null, Variances, null
+from validation.contrasts.structure import Structure, fit_layout, judged
 from validation.diagnose.explained import Loudest
 from validation.fit import Fit
 
@@ -23,16 +23,15 @@ class Ground:
     fit: Fit
     structure: Structure
     null: Null
-    projection: Projection
     variances: Variances
 
     @classmethod
     def of(cls, fit: Fit, draws: int, seed: int, cache: Path | None = None) -> Ground:
         """About a fit; `cache`: a folder that keeps nulls."""
-        layout, projection = fit_layout(fit), fit_projection(fit)
+        layout, projection = fit_layout(fit), fit.basis
         variances = Variances.of(layout, projection)
         drawn = null(layout, projection, variances.weight, draws, seed, cache)
-        return cls(fit, judged(fit.residual, layout, projection, variances, drawn), drawn, projection, variances)
+        return cls(fit, judged(fit.residual, layout, projection, variances, drawn), drawn, variances)
 
     @property
     def loudest(self) -> Loudest:
@@ -44,4 +43,4 @@ class Ground:
 
     def judged(self, residual: Real) -> Structure:
         """The structure in another residual, by the same contrasts and the same null."""
-        return judged(residual, self.null.layout, self.projection, self.variances, self.null)
+        return judged(residual, self.null.layout, self.fit.basis, self.variances, self.null)

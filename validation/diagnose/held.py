@@ -69,12 +69,11 @@ def held_alike(fit: Fit, predictor: Predictor, best_drop: float) -> list[Held]:
 
 def _held(fit: Fit, predictor: Predictor) -> Iterator[Held]:
     values = fit.problem.unknowns.named(fit.values)
-    taken = fit.basis.data
     for path, (value, column) in _columns(fit, predictor, values).items():
-        left = column - taken @ (taken.T @ column)
+        (left,) = fit.basis.left(column[None])
         square = float(left @ left)
         if square > IMITATED**2 * float(column @ column):
-            along = float(left @ fit.residual)
+            along = float(left @ fit.residual_with_priors)
             yield Held(path, unit_of(path), value, value + along / square, square**-0.5, along**2 / square)
 
 

@@ -32,7 +32,7 @@ from validation.diagnose.refitted import Refitted, added, limits_of, path_of
 from validation.effects.known import is_smooth
 from validation.fit import Fit, prior_chi2, refitted, unknowns_of
 from validation.fit.descent import is_dark
-from validation.fit.least_squares import reduce
+from validation.fit.least_squares import Parameter, reduce
 from validation.fit.problem import Problem
 from validation.fit.start import start_values
 
@@ -112,7 +112,9 @@ def _freed(base: Fit, score: Score, slopes: Slopes, tried: Sequence[Candidate]) 
 
 def acting_together(base: Fit, candidate: Candidate) -> list[Candidate]:
     """A candidate, and those of the effect's other parameters of which the fit's own leave something."""
-    shown = [np.linalg.norm(left_of(base, one)) > LEAST * np.linalg.norm(one.columns) for one in candidate.others]
+    shown = [
+        np.linalg.norm(base.basis.left(one.columns)) > LEAST * np.linalg.norm(one.columns) for one in candidate.others
+    ]
     return [candidate, *(one for one, shows in zip(candidate.others, shown, strict=True) if shows)]
 
 
@@ -120,18 +122,26 @@ def whole_of(base: Fit, found: Refitted) -> Real:
     """The rows of an effect whose parameters act together, at their sizes, less what the fit's own parameters do."""
     size = found.size
     tried = (found.candidate, *found.candidate.others)
-    return np.asarray(sum(one.size(size[one.parameter.name]) * left_of(base, one)[0] for one in tried))
+    return np.asarray(sum(one.size(size[one.parameter.name]) * base.basis.left(one.columns)[0] for one in tried))
+
+
+def expected(base: Fit, candidate: Candidate) -> tuple[float, float]:
+    """By how much chi2 should fall with a single column more, and its size, on the linear model within all limits.
+
+    That of its score, but that a parameter which the fit has driven to its limit may come back from there.
+    """
+    own, (below, above) = base.problem.unknowns.parameters, candidate.sides
+    size = Parameter(candidate.key, -np.inf if below else 0.0, np.inf if above else 0.0)
+    columns = np.concatenate([base.columns, candidate.columns])
+    without = reduce(base.columns, base.residual, own, base.values).step()
+    step = reduce(columns, base.residual, (*own, size), np.append(base.values, 0.0)).step()
+    return without.chi2 - step.chi2, float(step.change[-1])
 
 
 def _sizes(base: Fit, tried: Sequence[Candidate]) -> list[float]:
     """Where their columns, less what the fit's own parameters do, leave least."""
-    rows = np.concatenate([left_of(base, one) for one in tried])
-    return [float(size) for size in np.linalg.lstsq(rows.T, base.residual, rcond=1e-6)[0]]
-
-
-def left_of(base: Fit, one: Candidate) -> Real:
-    """Its columns less what the fit's own parameters do."""
-    return np.asarray(one.columns - (one.columns @ base.basis.data) @ base.basis.data.T)
+    rows = np.concatenate([base.basis.left(one.columns) for one in tried])
+    return [float(size) for size in np.linalg.lstsq(rows.T, base.residual_with_priors, rcond=1e-6)[0]]
 
 
 def _inside(one: Candidate, size: float) -> float:
@@ -187,13 +197,14 @@ def spread(base: Fit, candidate: Candidate) -> Refitted:
 
     The spread s is the most likely one: members are normal with it, and the data know each to one over its column.
     """
-    rows = left_of(base, candidate)
+    rows = base.basis.left(candidate.columns)
     _, upper = limits_of(candidate.parameter)
-    best, members, log = drawn_back(rows, base.residual, upper)
+    best, members, log = drawn_back(rows, base.residual_with_priors, upper)
     size = np.maximum(np.linalg.eigvalsh(rows @ rows.T), 0.0)
     curvature = float(np.sum((best * size / (1.0 + best**2 * size)) ** 2)) * 2.0
+    residual = base.residual - members @ rows[:, : len(base.residual)]
     return Refitted(
-        candidate, best, 1.0 / np.sqrt(curvature) if curvature > 0.0 else np.inf, base.residual - members @ rows,
+        candidate, best, 1.0 / np.sqrt(curvature) if curvature > 0.0 else np.inf, residual,
         total_chi2(base) - 2.0 * max(log, 0.0), best >= upper, None, None,
     )  # fmt: skip
 

@@ -11,7 +11,7 @@ from validation.diagnose.in_words import left_in_words
 from validation.diagnose.next_measurement import Proposal
 from validation.diagnose.refitted import Refitted
 from validation.diagnose.score import Scores
-from validation.diagnose.verdict import HALF, Verdict, concluded, told_of_rest
+from validation.diagnose.verdict import HALF, Verdict, concluded, further_in_words, told_of_rest
 from validation.effects.confounding import Confounding
 from validation.fit import Fit
 
@@ -38,6 +38,11 @@ class Step:
     def best(self) -> Explanation:
         """The explanation that the verdict names first."""
         return next(one for one in self.explanations if one.name == self.verdict.set[0])
+
+    @property
+    def rivals(self) -> tuple[str, ...]:
+        """Effects that explain as much as the best one, where the data cannot tell them apart."""
+        return self.verdict.set[1:] if self.verdict.word == "cannot_tell_apart" else ()
 
     @property
     def kept(self) -> Refitted | None:
@@ -70,7 +75,8 @@ class Diagnosis:
         )
         if not added or found is not first:
             return found
-        further = [f"{one.name} ({one.size})" for one in added[1:]]
+        named = [step for step in self.steps if step.verdict.names]
+        further = [further_in_words(step.best.name, step.best.size, step.rivals) for step in named[1:]]
         rest = told_of_rest(first, self.steps[0].explanations, further, p_left)
         return replace(first, sentence=first.sentence + rest)
 

@@ -23,7 +23,7 @@ from scipy.special import gammaincc, gammaln, ndtri_exp
 from scipy.stats import chi2 as chi2_of
 
 from luxloop.effect import EffectParameter, EffectSpec, Value
-from validation.contrasts.null import Projection
+from validation.fit.least_squares import Basis
 
 Real = NDArray[np.float64]
 
@@ -145,17 +145,17 @@ class Projected:
 
     candidates: tuple[Candidate, ...]
     columns: Real
-    """(column, row), of all candidates one after the other."""
+    """(column, row), of all candidates one after the other; data rows, then prior rows."""
     ends: tuple[int, ...]
     left: tuple[float, ...]
     untestable: tuple[str, ...]
 
     @classmethod
-    def of(cls, candidates: Sequence[Candidate], projection: Projection) -> Projected:
+    def of(cls, candidates: Sequence[Candidate], projection: Basis) -> Projected:
         """Columns less what the fit's parameters can do."""
         kept, parts, left, seen = [], [], [], set()
         for one in candidates:
-            part = one.columns - (one.columns @ projection.data) @ projection.data.T
+            part = projection.left(one.columns)
             before, after = float(np.sum(one.columns**2)), float(np.sum(part**2))
             if after > VANISHED * before > 0.0:
                 kept.append(one)
@@ -163,7 +163,7 @@ class Projected:
                 left.append(float(np.sqrt(after / before)))
                 seen.add(one.effect.name)
         names = dict.fromkeys(one.effect.name for one in candidates)
-        rows = len(projection.data)
+        rows = len(projection.data) + len(projection.prior)
         return cls(
             tuple(kept),
             np.concatenate(parts) if parts else np.zeros((0, rows)),
@@ -190,7 +190,13 @@ class Projected:
 
 
 def scores(projected: Projected, residual: Real, scale: float = 1.0, draws: int = DRAWS, seed: int = 1) -> Scores:
-    """The score test of all candidates on a whitened residual; `scale`: of all variances, as the fit found it."""
+    """The score test of all candidates.
+
+    Parameters
+    ----------
+    residual : what a fit leaves, of data and of priors (`Fit.residual_with_priors`). scale : of all variances, as the
+        fit found it.
+    """
     products = projected.columns @ residual / np.sqrt(scale)
     found = [
         _score(one, products[part], projected.gram[part, part], left, np.sqrt(scale))

@@ -10,15 +10,16 @@ from numpy.typing import NDArray
 
 from luxloop.effect import EffectSpec
 from validation.diagnose import held_out as held
+from validation.diagnose.anew import total_chi2
 from validation.diagnose.by_place import chance_by_place
 from validation.diagnose.ending import beside, finished, is_stuck, unstuck
 from validation.diagnose.evidence import group_log_evidence, log_evidence
 from validation.diagnose.explanation import Explanation, follows_field
 from validation.diagnose.frozen import slopes_of
 from validation.diagnose.ground import Ground
-from validation.diagnose.refit import acting_together, left_of, refit, whole_of
+from validation.diagnose.refit import acting_together, expected, refit, whole_of
 from validation.diagnose.refitted import Refitted, limits_of, of_members
-from validation.diagnose.score import Candidate, EffectScore, Projected, Scores
+from validation.diagnose.score import Candidate, EffectScore, Projected, Score, Scores
 from validation.diagnose.verdict import ALIKE
 from validation.effects.confounding import Confounding, left_beside
 from validation.effects.known import is_smooth
@@ -152,20 +153,31 @@ class Tried:
 def columns_of(fit: Fit, projected: Projected, candidate: Candidate) -> Real:
     """Those of a candidate, then those of what acts together with it, less what the fit's own parameters do."""
     _, *others = acting_together(fit, candidate)
-    return np.concatenate([projected.own(candidate), *(left_of(fit, one) for one in others)])
+    return np.concatenate([projected.own(candidate), *(fit.basis.left(one.columns) for one in others)])
 
 
-def short_list(scored: Scores, alike: Confounding) -> list[EffectScore]:
+def short_list(base: Fit, scored: Scores, alike: Confounding) -> list[EffectScore]:
     """The best few, those that are nearly the same as the best one, and what is there or not.
 
-    Of a switch the column is the whole way at the values of a fit without it, which may have gone far to make up for
-    it: only a fit with it tells.
+    They are the best, and begun, by what they should bring beside a fit that lets go of its limits: what is missing
+    may have driven it there, and scores keep it there. Of a switch the column is the whole way at the values of a fit
+    without it, which may have gone far to make up for it: only a fit with it tells.
     """
-    best = [one for one in scored.effects if one.best.drop > 0.0][:SHORT_LIST]
+    found = {one.name: promised(base, one.best) for one in scored.effects}
+    brings = {name: drop for name, (drop, _) in found.items()}
+    effects = [replace(one, best=replace(one.best, size=found[one.name][1])) for one in scored.effects]
+    effects.sort(key=lambda one: -brings[one.name])
+    best = [one for one in effects if brings[one.name] > 0.0][:SHORT_LIST]
     group = alike.group_of(best[0].name) if best else ()
-    others = [one for one in scored.effects if one not in best]
-    near = [one for one in others if one.name in group and one.best.drop > 0.0][:SHORT_LIST]
+    others = [one for one in effects if one not in best]
+    near = [one for one in others if one.name in group and brings[one.name] > 0.0][:SHORT_LIST]
     return best + near + [one for one in others if one.best.candidate.is_switch and one not in near]
+
+
+def promised(base: Fit, score: Score) -> tuple[float, float]:
+    """By how much chi2 should fall with an effect, and its size: its score's, or more where a limit holds the fit."""
+    own = score.drop, score.size
+    return own if score.candidate.is_group or not base.at_limit else max(own, expected(base, score.candidate))
 
 
 def as_fitted(projected: Projected, score: EffectScore, found: Refitted) -> EffectScore:
@@ -184,10 +196,10 @@ def _explanation(
 ) -> Explanation:
     candidate, base = score.best.candidate, ground.fit
     scale = held_scale(float(found.residual @ found.residual), base.freedom - 1.0)
-    drop = base.chi2 + base.reduced.chi2_prior - found.chi2
+    drop = total_chi2(base) - found.chi2
     length, beside = float(np.sqrt(score.best.drop)), {}
     if not candidate.is_group:
-        size = 1.0 if candidate.is_switch else score.best.size
+        size = 1.0 if candidate.is_switch else candidate.size(found.value)
         own = whole_of(base, found) if found.candidate.others else size * columns[score.name][0]
         length = float(np.linalg.norm(own))
         others = [rival for rival in rivals if rival != score.name]
@@ -227,7 +239,7 @@ def _by_place(base: Fit, candidate: Candidate) -> float:
     samples = {image.sample.id: image.sample for image in base.problem.images}.values()
     grids = [(one.rows, one.columns) for one in samples if one.layout == "array" and one.rows * one.columns > 1]
     _, upper = limits_of(candidate.parameter)
-    return chance_by_place(left_of(base, candidate), base.residual, upper, grids)
+    return chance_by_place(base.basis.left(candidate.columns), base.residual_with_priors, upper, grids)
 
 
 def _log_evidence(ground: Ground, found: Refitted, drop: float, columns: Real) -> float | None:
@@ -237,7 +249,7 @@ def _log_evidence(ground: Ground, found: Refitted, drop: float, columns: Real) -
         return None
     if candidate.is_group:
         _, upper = limits_of(candidate.parameter)
-        return group_log_evidence(columns @ ground.fit.residual, columns @ columns.T, upper)
+        return group_log_evidence(columns @ ground.fit.residual_with_priors, columns @ columns.T, upper)
     tried = (candidate, *candidate.others)
     covariance = np.array([[found.error**2]]) if found.fit is None else found.fit.covariance_of(found.paths)
     known = np.diag(covariance)

@@ -1,6 +1,7 @@
 """The verdict: one of five sentences, decided by rules that a reader can follow.
 
-    fit_not_trustworthy   the fit itself says so
+    fit_not_trustworthy   the fit itself says so; but by a limit only where no structure is left: what is missing yet
+                          may drive a parameter there, and it is told beside
     nothing_visible       neither structure nor any effect's score is unlikely, each at half the level
     none_of_the_known     the best effect explains less than half of the structure by an error (by two, where the
                           share is known to no better than 0.15), or lowers chi2 by no more than noise does of so
@@ -166,11 +167,16 @@ def concluded(
     known : effects that there are. left : what is left, in words.
     """
     group_leaves = only is not None and only.has_members and p_left < LEVEL / 2.0
-    if only is not None and only.distrust and not group_leaves:
+    if only is not None and only.doubts() and not group_leaves:
         return doubted(only)
     if shares and (group_leaves or leaves_too_much(p_left, shares)):
         return none_of_the_known(known, shares[0].value, left())
     return first
+
+
+def further_in_words(name: str, size: str, rivals: Sequence[str]) -> str:
+    """An effect of a further round."""
+    return f"{name} ({size}" + (f", not told apart from {', '.join(rivals)})" if rivals else ")")
 
 
 def told_of_rest(first: Verdict, tried: Sequence[Explanation], further: Sequence[str], p_left: float) -> str:
@@ -188,7 +194,9 @@ def told_of_rest(first: Verdict, tried: Sequence[Explanation], further: Sequence
         named = ", ".join(further)
         in_part = f"is explained in part by {named}; structure is left with all (p {p_left:.2g})."
         return f" What it leaves {in_part}" if leaves else f" What it leaves is explained by {named}."
-    return f" Structure is left that nothing named here explains (p {p_left:.2g})." if leaves else ""
+    best = next((one for one in tried if one.name in first.set[:1]), None)
+    held = "" if best is None else "".join(f" With {best.name} added, {one}." for one in best.distrust)
+    return f" Structure is left that nothing named here explains (p {p_left:.2g}).{held}" if leaves else ""
 
 
 def doubted(best: Explanation) -> Verdict:

@@ -25,7 +25,7 @@ from validation.effects.agreed import agreed
 from validation.effects.known import NEAR_OFF, acting, applied, is_smooth, off_values, with_effect
 from validation.fit import Fit
 from validation.fit.descent import linearised
-from validation.fit.least_squares import basis
+from validation.fit.least_squares import Basis, basis
 from validation.fit.parameters import free_paths, gain_of, unknowns_of
 from validation.fit.problem import ImagePredictor, Problem
 from validation.fit.start import start_values
@@ -358,9 +358,9 @@ class Projection:
     gains: tuple[float, ...]
     scales: tuple[float, ...]
     """Of curves."""
-    taken: Real
-    """(row, direction), orthonormal: what gains, offsets, poses and free parameters can imitate."""
-    nuisances: Real | None = None
+    taken: Basis
+    """What gains, offsets, poses and free parameters can imitate."""
+    nuisances: Basis | None = None
     """The same for gains, offsets, poses and films' own alone, whose columns are exact; None: they are all of it."""
 
     @classmethod
@@ -368,8 +368,8 @@ class Projection:
         """About a fit."""
         gains = tuple(fit.gains[image.shot.id] for image in fit.problem.images)
         scales = tuple(fit.value(f"{c.id}.scale") if c.free_scale else 1.0 for c in fit.problem.curves)
-        alone = basis(fit.columns, fit.reduced, fit.active & _nuisances(fit.problem)).data
-        return cls(fit.whitening, gains, scales, fit.basis.data, alone)
+        alone = basis(fit.columns, fit.reduced, fit.active & _nuisances(fit.problem))
+        return cls(fit.whitening, gains, scales, fit.basis, alone)
 
     @classmethod
     def at(cls, model: Model, images: Sequence[MeasuredImage], predictor: ImagePredictor) -> Projection:
@@ -378,7 +378,7 @@ class Projection:
         evaluation = problem.evaluate(start_values(problem, {}))
         white, reduced, columns = linearised(evaluation)
         gains = tuple(gain_of(image, evaluation.by_name) for image in images)
-        taken = (basis(columns, reduced, mask).data for mask in (np.ones(len(columns), bool), _nuisances(problem)))
+        taken = (basis(columns, reduced, mask) for mask in (np.ones(len(columns), bool), _nuisances(problem)))
         return cls(white, gains, (), *taken)
 
     @classmethod
@@ -393,7 +393,8 @@ class Projection:
         ]
         rows = sum(map(len, sigma))
         taken, _ = np.linalg.qr(np.array(columns).reshape(len(paths), rows).T)
-        return cls(Whitening((), (), (), (), tuple(sigma)), (), (1.0,) * len(curves), taken)
+        free = Basis(taken, np.zeros((0, len(paths))))
+        return cls(Whitening((), (), (), (), tuple(sigma)), (), (1.0,) * len(curves), free)
 
     def rows(self, column: Column) -> Real:
         """Its parts in standard deviations, one after the other; nothing taken out yet."""
@@ -411,13 +412,14 @@ def _nuisances(problem: Problem) -> NDArray[np.bool_]:
 
 
 def projected(columns: Sequence[Column], projection: Projection) -> Real:
-    """(column, row): whitened columns without what calibration and nuisances can imitate; 0 where it is all."""
+    """(column, row): whitened columns without what calibration and nuisances can imitate (`Basis.left`); 0 where it
+    is all."""
+    taken = projection.taken
     if not columns:
-        return np.zeros((0, len(projection.taken)))
+        return np.zeros((0, len(taken.data) + len(taken.prior)))
     found = np.array([projection.rows(column) for column in columns])
-    left = found - (found @ projection.taken) @ projection.taken.T
-    alone = projection.taken if projection.nuisances is None else projection.nuisances
-    in_all, in_alone = (np.sum((found @ part) ** 2, axis=1) for part in (projection.taken, alone))
+    left = taken.left(found)
+    in_all, in_alone = (np.sum((found @ one.data) ** 2, axis=1) for one in (taken, projection.nuisances or taken))
     rounding = ROUNDING if projection.gains else FILM_ROUNDING
     noise = COLUMN_ERROR * np.sqrt(np.maximum(in_all - in_alone, 0.0)) + rounding * np.linalg.norm(found, axis=1)
     left[np.linalg.norm(left, axis=1) < noise] = 0.0

@@ -6,9 +6,10 @@ from validation.fit.descent import refitted
 from validation.fit.least_squares import Parameter, prior_chi2
 from validation.fit.parameters import CurveData, Discrepancy, unknowns_of
 from validation.fit.profile import Profile, profile
-from validation.fit.result import NOT_CONVERGED, Fit
+from validation.fit.result import AT_LIMIT, NOT_CONVERGED, Fit
 
 __all__ = [
+    "AT_LIMIT",
     "NOT_CONVERGED",
     "CurveData",
     "CurvesOf",

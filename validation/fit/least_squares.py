@@ -215,6 +215,24 @@ class Basis:
         """Degrees of freedom that the fit takes from the data."""
         return float(np.sum(self.data**2))
 
+    @property
+    def freedom(self) -> float:
+        """Degrees of freedom left in the data."""
+        return len(self.data) - self.taken
+
+    def residual(self, rows: Real) -> Real:
+        """What the fit leaves of whitened data rows (row,) in these rows."""
+        return np.asarray(rows - self.data @ (self.data.T @ rows))
+
+    def left(self, columns: Real) -> Real:
+        """What the fit leaves of whitened columns (column, row): over data rows, then over prior rows.
+
+        What its parameters take of a column their priors pay for: a column's length is root(c' (I - data data') c).
+        Of the data rows alone it is less, and a test by these misses what has gone into the priors.
+        """
+        along = columns @ self.data
+        return np.concatenate([columns - along @ self.data.T, -along @ self.prior.T], axis=1)
+
 
 def basis(columns: Real, reduced: Reduced, active: Mask) -> Basis:
     """The basis of the active columns (neither at a limit nor blind) with their priors."""

@@ -21,6 +21,7 @@ Real = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 MOST_MODEL_NOISE = 2.0  # rms, of the camera's: up to there errors and chi2 were found right (decision 27)
+AT_LIMIT = " is at its limit"
 NOT_CONVERGED = "the fit has not converged"
 NO_STEP = "no good step is left by derivatives that are mostly noise of Monte Carlo (more histories)"
 LEAST_GAP = 0.1
@@ -102,6 +103,14 @@ class Fit:
         return basis(self.columns, self.reduced, self.active)
 
     @cached_property
+    def residual_with_priors(self) -> Real:
+        """(row,): the residual, then how far active parameters are from their priors: in the rows of `basis.left`."""
+        priors = self.problem.unknowns.parameters
+        held = [(p.prior_mean - at) / p.prior_sd for p, at in zip(priors, self.values, strict=True)]
+        counted = self.active & ~self.reduced.blind & (self.reduced.prior_weight > 0.0)
+        return np.concatenate([self.residual, np.array(held)[counted]])
+
+    @cached_property
     def residual_images(self) -> list[Real]:
         """Whitened residual of each image, zero where unused."""
         return self.whitening.unfold(self.residual[: self.whitening.count])
@@ -154,7 +163,7 @@ def conclude(
     residual = evaluation.residual(white) - change @ columns
     active = ~last.at_limit & ~reduced.blind
     taken, share = basis(columns, reduced, active), noise_share(white)
-    chi2, freedom = float(residual @ residual), len(residual) - taken.taken
+    chi2, freedom = float(residual @ residual), taken.freedom
     scale = variance_scale(chi2, freedom)
     names = evaluation.problem.unknowns.names
     at_limit = tuple(name for name, held in zip(names, last.at_limit, strict=True) if held)
@@ -249,7 +258,7 @@ def _reasons(
     known = {parameter.name: parameter for parameter in problem.unknowns.parameters}
     for name in at_limit:
         low, high = known[name].lower, known[name].upper
-        reasons.append(f"{name} is at its limit ({low:g} to {high:g}); widen the limits or add what is missing")
+        reasons.append(f"{name}{AT_LIMIT} ({low:g} to {high:g}); widen the limits or add what is missing")
     if not converged:
         why = f"{gap:.3g} of chi2 is still to be gained" if gap >= LEAST_GAP else NO_STEP
         reasons.append(f"{NOT_CONVERGED}: {why}; {UNMENDED}")

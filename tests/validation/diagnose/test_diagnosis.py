@@ -33,7 +33,6 @@ from tests.validation.diagnose.made_up import (
     spec,
 )
 from validation import told_diagnosis
-from validation.contrasts.structure import fit_projection
 from validation.diagnose.columns import FitSight, candidates_of
 from validation.diagnose.diagnosis import beyond_limits
 from validation.diagnose.document import document, effect_document
@@ -129,7 +128,7 @@ def test_a_number_that_only_its_end_drives_there_is_left_off_too() -> None:
     predictor = Affected()
     base = fit(MODEL, images_of(hidden("rise", {"a": 0.08, "b": 0.012}), 3), predictor, free=PATHS)
     tried = candidates_of(base, [RISE], FitSight.of(base, predictor))  # type: ignore[arg-type]  # it predicts, too
-    found = refit(base, scores(Projected.of(joined(tried), fit_projection(base)), base.residual).effects[0].best,
+    found = refit(base, scores(Projected.of(joined(tried), base.basis), base.residual_with_priors).effects[0].best,
                   slopes_of(base))  # fmt: skip
     assert found.fit is not None
     assert [one.parameter.name for one in found.candidate.others] == ["b"]
@@ -173,7 +172,7 @@ def test_the_word_that_shapes_an_effect_is_the_one_that_leaves_least() -> None:
     tried = candidates_of(base, [spec("lines", along)], FitSight.of(base, predictor))  # type: ignore[arg-type]  # duck
     wrong = next(one for one in tried if dict(one.shape)["along"] == "y")
     found = refit(
-        base, scores(Projected.of([wrong], fit_projection(base)), base.residual).effects[0].best, slopes_of(base)
+        base, scores(Projected.of([wrong], base.basis), base.residual_with_priors).effects[0].best, slopes_of(base)
     )
     ended = finished(found, predictor, None)  # type: ignore[arg-type]  # it predicts as a predictor does
     assert dict(ended.shape) == {"along": "x"}
@@ -477,7 +476,7 @@ def test_the_share_of_a_right_model_is_one_and_of_the_base_nothing() -> None:
     unchanged = loudest.share(ground.fit.residual, ground.structure.variance_scale, same_noise=True)
     assert (unchanged.value, unchanged.error) == pytest.approx((0.0, 0.0), abs=1e-6)
     noise = np.random.default_rng(1).standard_normal(ground.fit.residual.size)
-    right = loudest.share(ground.projection.residual(noise), same_noise=False)
+    right = loudest.share(ground.fit.basis.residual(noise), same_noise=False)
     assert abs(right.value - 1.0) < 3.0 * right.error + 0.05
 
 

@@ -10,15 +10,16 @@ import pytest
 from scipy.stats import chi2
 
 from luxloop.effect import EffectParameter, EffectSpec
-from validation.contrasts.null import Projection
 from validation.diagnose import refit, score
 from validation.diagnose.score import Candidate, Projected, scores
+from validation.diagnose.tried import promised
 from validation.effects.confounding import confounding, left_beside
+from validation.fit.least_squares import Basis, Parameter, basis, reduce
 
 ROWS = 400
 RANDOM = np.random.default_rng(5)
 FITTED = np.linalg.qr(RANDOM.standard_normal((ROWS, 4)))[0]
-PROJECTION = Projection(FITTED, np.zeros((0, 4)))
+PROJECTION = Basis(FITTED, np.zeros((0, 4)))
 
 
 def candidate(
@@ -42,6 +43,63 @@ def column(seed: int) -> np.ndarray:
 def noise(seed: int) -> np.ndarray:
     """What a fit leaves of white noise."""
     return PROJECTION.residual(np.random.default_rng(10_000 + seed).standard_normal(ROWS))
+
+
+def test_what_an_effect_has_pushed_into_a_prior_is_found_there() -> None:
+    """Of a fit that a prior holds: z is that by which chi2 falls once the effect is added, and normal without one.
+
+    By the data rows alone, once projected and once more, z would be 9.8 of 13.8, and have a spread of 0.75.
+    """
+    level, effect = column(1), 0.8 * column(1) + 0.6 * column(2)
+    held, free = Parameter("level", prior_sd=0.01), Parameter("effect")
+    every = np.ones(1, bool)
+
+    def left(data: np.ndarray, mean: float = 0.0) -> tuple[Projected, np.ndarray]:
+        prior = Parameter("level", prior_mean=mean, prior_sd=0.01)
+        reduced = reduce(level[None], data, (prior,), np.zeros(1))
+        (found,) = reduced.step().change
+        projected = Projected.of([candidate("a", effect)], basis(level[None], reduced, every))
+        return projected, np.append(data - found * level, (mean - found) / 0.01)
+
+    data = 0.15 * effect
+    without = reduce(level[None], data, (held,), np.zeros(1)).step().chi2
+    together = reduce(np.stack([level, effect]), data, (held, free), np.zeros(2)).step()
+    best = scores(*left(data), draws=10).effects[0].best
+    assert best.z**2 == pytest.approx(without - together.chi2, rel=1e-9)
+    assert best.size == pytest.approx(together.change[1], rel=1e-9)
+    random = np.random.default_rng(3)
+    drawn = [
+        scores(*left(random.standard_normal(ROWS), 0.01 * random.standard_normal()), draws=1).effects[0].best.z
+        for _ in range(2000)
+    ]
+    assert np.std(drawn) == pytest.approx(1.0, abs=0.05)
+
+
+@pytest.mark.parametrize(("sided", "size"), [(False, 0.05), (True, 0.05), (True, -0.05)])
+def test_a_limit_to_which_what_is_missing_drove_the_fit_hides_less_of_it(sided: bool, size: float) -> None:
+    """Its score keeps the parameter at the limit; beside the effect it comes back, and chi2 falls by more."""
+    level, effect = column(1), 0.8 * column(1) + 0.6 * column(2)
+    held = Parameter("level", lower=-0.01, upper=0.01)
+    data = size * effect
+    at = reduce(level[None], data, (held,), np.zeros(1)).step()
+    assert at.at_limit.all()
+    residual = data - at.change @ level[None]
+    base: Any = SimpleNamespace(
+        columns=level[None], residual=residual, values=at.change,
+        problem=SimpleNamespace(unknowns=SimpleNamespace(parameters=(held,))),
+    )  # fmt: skip
+    tried = candidate("a", effect, one_sided=sided)
+    drop, found = refit.expected(base, tried)
+    if sided and size < 0.0:
+        assert (drop, found) == (0.0, 0.0)
+        return
+    assert drop == pytest.approx(float(residual @ residual), rel=1e-9)
+    assert found == pytest.approx(size, rel=1e-9)
+    taken = basis(level[None], reduce(level[None], residual, (held,), at.change), np.zeros(1, bool))
+    score_of = scores(Projected.of([tried], taken), residual, draws=10).effects[0].best
+    assert score_of.drop < 0.9999 * drop
+    assert promised(SimpleNamespace(**vars(base), at_limit=("level",)), score_of) == (drop, found)  # type: ignore[arg-type]
+    assert promised(SimpleNamespace(at_limit=()), score_of) == (score_of.drop, score_of.size)  # type: ignore[arg-type]
 
 
 def test_a_hidden_effect_is_found_with_its_size_and_error() -> None:
@@ -207,7 +265,7 @@ def test_the_error_of_a_refitted_spread_is_how_far_it_scatters() -> None:
     for k in range(300):
         residual = PROJECTION.residual(0.1 * random.standard_normal(12) @ one.columns) + noise(k)
         base: Any = SimpleNamespace(
-            basis=SimpleNamespace(data=FITTED), residual=residual, chi2=float(residual @ residual),
+            basis=PROJECTION, residual=residual, residual_with_priors=residual, chi2=float(residual @ residual),
             values=np.zeros(0), problem=SimpleNamespace(unknowns=known),
         )  # fmt: skip
         found.append(refit.spread(base, one))

@@ -9,7 +9,7 @@ import pytest
 from validation.diagnose.explained import Share
 from validation.diagnose.explanation import Explanation
 from validation.diagnose.rounds import is_a_guess
-from validation.diagnose.verdict import Verdict, concluded, decided, leaves_too_much, told_of_rest
+from validation.diagnose.verdict import Verdict, concluded, decided, further_in_words, leaves_too_much, told_of_rest
 
 
 def explanation(name: str, drop: float, share: Share, beside: dict[str, float]) -> Explanation:
@@ -108,6 +108,10 @@ def test_a_sentence_ends_with_what_is_left() -> None:
     assert (
         told_of_rest(alone, [leaves], ["chip (gain 0.1)"], 0.3) == " What it leaves is explained by chip (gain 0.1)."
     )
+    either = further_in_words("chip", "gain 0.1", ["walls", "fog"])
+    told = " What it leaves is explained by chip (gain 0.1, not told apart from walls, fog)."
+    assert told_of_rest(alone, [leaves], [either], 0.3) == told
+    assert further_in_words("chip", "gain 0.1", ()) == "chip (gain 0.1)"
     in_part = " What it leaves is explained in part by chip (gain 0.1); structure is left with all (p 0.0001)."
     assert told_of_rest(alone, [leaves], ["chip (gain 0.1)"], 0.0001) == in_part
 
@@ -135,17 +139,33 @@ def test_a_group_alone_must_leave_nothing_an_effect_may_leave_a_fifth(
     assert ("What is left: stripes." in found.sentence) == (word != "one_effect")
 
 
-@pytest.mark.parametrize(("group", "left", "word"), [(False, 0.001, "fit_not_trustworthy"),
-                                                     (True, 0.3, "fit_not_trustworthy"),
-                                                     (True, 0.001, "none_of_the_known")])  # fmt: skip
-def test_a_doubted_fit_is_mended_first_but_for_a_group_that_leaves_structure(
-    group: bool, left: float, word: str
+LIMIT, DARK = "a is at its limit (0 to 1); widen the limits", "an image may be of no light at all"
+
+
+@pytest.mark.parametrize(("group", "left", "share", "reason", "word"), [
+    (False, 0.3, 0.95, LIMIT, "fit_not_trustworthy"),
+    (False, 0.001, 0.95, LIMIT, "one_effect"),
+    (False, 0.001, 0.5, LIMIT, "none_of_the_known"),
+    (False, 0.001, 0.95, DARK, "fit_not_trustworthy"),
+    (True, 0.3, 0.95, LIMIT, "fit_not_trustworthy"),
+    (True, 0.001, 0.95, LIMIT, "none_of_the_known"),
+])  # fmt: skip
+def test_a_doubted_fit_is_mended_first_but_for_limits_to_which_what_is_missing_may_drive_it(
+    group: bool, left: float, share: float, reason: str, word: str
 ) -> None:
-    """Something else may be what drives such a group's fit to a limit."""
-    share = Share(0.95, 0.02)
-    only = replace(explanation("chips", 400.0, share, {}), has_members=group, p_left=left, distrust=("a limit",))
+    """While structure is left, something else may be what drives the fit to a limit; other doubts stay."""
+    told = Share(share, 0.02)
+    only = replace(explanation("chips", 400.0, told, {}), has_members=group, p_left=left, distrust=(reason,))
     first = Verdict("one_effect", "One effect.", ("chips",))
-    assert concluded(first, only, [share], left, 32, lambda: "").word == word
+    assert concluded(first, only, [told], left, 32, lambda: "").word == word
+
+
+def test_a_limit_that_is_left_standing_is_told() -> None:
+    """Beside structure that is left: sizes are in doubt as long as a parameter is at its limit."""
+    held = replace(explanation("walls", 50.0, Share(0.9, 0.05), {}), p_left=0.0003, distrust=(LIMIT,))
+    alone = Verdict("one_effect", "", ("walls",))
+    left = " Structure is left that nothing named here explains (p 0.0003)."
+    assert told_of_rest(alone, [held], [], 0.0003) == f"{left} With walls added, {LIMIT}."
 
 
 def test_what_all_rounds_explain_is_what_none_of_them_leaves() -> None:

@@ -28,6 +28,7 @@ from validation.effects.known import (
 )
 from validation.effects.known import applied as applied_to
 from validation.effects.signatures import ALONE, HISTORIES, RUNS, Projection, Sight, projected, signature
+from validation.fit.least_squares import Basis
 from validation.fit.whitening import Whitening
 from validation.prediction import Predicted, View
 from validation.prediction.differences import Moved
@@ -222,11 +223,12 @@ def test_projection_takes_out_what_is_taken_and_only_that() -> None:
     along = ONE.ravel() / np.linalg.norm(ONE)
     across = TWO.ravel() - along * (along @ TWO.ravel())
     across /= np.linalg.norm(across)
-    assert not projected(columns, Projection(white, (3.0,), (), along[:, None])).any()
+    none = np.zeros((0, 1))
+    assert not projected(columns, Projection(white, (3.0,), (), Basis(along[:, None], none))).any()
     np.testing.assert_allclose(
-        projected(columns, Projection(white, (3.0,), (), across[:, None]))[0], 6.0 * ONE.ravel()
+        projected(columns, Projection(white, (3.0,), (), Basis(across[:, None], none)))[0], 6.0 * ONE.ravel()
     )
-    assert projected([], Projection(white, (3.0,), (), along[:, None])).shape == (0, SIDE * SIDE)
+    assert projected([], Projection(white, (3.0,), (), Basis(along[:, None], none))).shape == (0, SIDE * SIDE)
 
 
 def test_cosines_of_one_column_are_those_of_vectors_and_of_several_those_of_their_span() -> None:
