@@ -9,6 +9,7 @@ import pytest
 
 from tests.validation.analytic import MODEL, Spots, two_images
 from tests.validation.lines import SIGMA, Lines, fit_of_lines, noisy
+from validation.diagnose.anew import total_chi2
 from validation.fit import CurveData, Parameter, fit, refitted
 from validation.fit.descent import pose_move_px
 from validation.fit.parameters import unknowns_of
@@ -29,6 +30,30 @@ def test_a_parameter_takes_a_degree_of_freedom_and_half_a_one_takes_half() -> No
     assert found.error("t") == pytest.approx(np.sqrt(found.variance_scale / 40.0) * SIGMA, rel=1e-9)
     assert found.value("u") == pytest.approx(0.5 * odd @ values["a"] / 40.0, rel=1e-6)
     assert found.trusted
+
+
+def test_a_score_on_a_fit_is_what_the_fit_with_the_column_gains() -> None:
+    """Beside parameters that are free, far from their prior, and at a limit; by a fit anew, with priors counted."""
+    random = np.random.default_rng(4)
+    shapes = dict(zip("tuvc", random.standard_normal((4, 40)), strict=True))
+    shapes["c"] = shapes["c"] + shapes["u"]
+    values = {"a": noisy(random, 2.0 * shapes["t"] + 0.01 * shapes["u"] + 0.3 * shapes["v"] + 0.02 * shapes["c"])}
+    free = Parameter("t"), Parameter("u", prior_mean=0.0, prior_sd=0.002), Parameter("v", upper=0.25, prior_sd=0.1)
+    without, within = (
+        fit_of_lines({"a": {name: shapes[name] for name in names}}, values, some)
+        for names, some in (("tuv", free), ("tuvc", (*free, Parameter("c"))))
+    )
+    assert without.at_limit == within.at_limit == ("v",)
+    rows, taken = without.residual_with_priors, without.basis
+    assert len(rows) == 40 + 1
+    np.testing.assert_allclose(taken.data.T @ rows[:40] + taken.prior.T @ rows[40:], 0.0, atol=1e-6)
+    assert rows[40] == pytest.approx(-without.value("u") / 0.002, rel=1e-9)
+    assert abs(rows[40]) > 2.0
+    (left,) = taken.left(shapes["c"][None] / SIGMA)
+    drop = total_chi2(without) - total_chi2(within)
+    assert drop > 10.0
+    assert (left @ rows) ** 2 / (left @ left) == pytest.approx(drop, rel=1e-6)
+    assert left @ rows / (left @ left) == pytest.approx(within.value("c"), rel=1e-6)
 
 
 def test_the_error_of_a_prediction_stands_beside_that_of_the_data() -> None:

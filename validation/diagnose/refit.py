@@ -133,9 +133,8 @@ def expected(base: Fit, candidate: Candidate) -> tuple[float, float]:
     own, (below, above) = base.problem.unknowns.parameters, candidate.sides
     size = Parameter(candidate.key, -np.inf if below else 0.0, np.inf if above else 0.0)
     columns = np.concatenate([base.columns, candidate.columns])
-    without = reduce(base.columns, base.residual, own, base.values).step()
     step = reduce(columns, base.residual, (*own, size), np.append(base.values, 0.0)).step()
-    return without.chi2 - step.chi2, float(step.change[-1])
+    return max(0.0, base.reduced.step().chi2 - step.chi2), float(step.change[-1])
 
 
 def _sizes(base: Fit, tried: Sequence[Candidate]) -> list[float]:

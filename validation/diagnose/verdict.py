@@ -170,7 +170,8 @@ def concluded(
     if only is not None and only.doubts() and not group_leaves:
         return doubted(only)
     if shares and (group_leaves or leaves_too_much(p_left, shares)):
-        return none_of_the_known(known, shares[0].value, left())
+        held = "" if only is None else _held(only)
+        return none_of_the_known(known, shares[0].value, left() + held)
     return first
 
 
@@ -195,8 +196,13 @@ def told_of_rest(first: Verdict, tried: Sequence[Explanation], further: Sequence
         in_part = f"is explained in part by {named}; structure is left with all (p {p_left:.2g})."
         return f" What it leaves {in_part}" if leaves else f" What it leaves is explained by {named}."
     best = next((one for one in tried if one.name in first.set[:1]), None)
-    held = "" if best is None else "".join(f" With {best.name} added, {one}." for one in best.distrust)
+    held = "" if best is None else _held(best)
     return f" Structure is left that nothing named here explains (p {p_left:.2g}).{held}" if leaves else ""
+
+
+def _held(best: Explanation) -> str:
+    """What stays at its limit with the best effect, as sentences."""
+    return "".join(f" With {best.name} added, {one}." for one in best.distrust)
 
 
 def doubted(best: Explanation) -> Verdict:

@@ -12,6 +12,7 @@ from scipy.ndimage import gaussian_filter
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
+from luxloop.audit import Compared, Place
 from luxloop.effect import AppliedEffect, EffectParameter
 from luxloop.model import Fit as Limits
 from luxloop.model import Model
@@ -52,6 +53,7 @@ from validation.diagnose.score import Projected, scores
 from validation.diagnose.verdict import decided
 from validation.fit import NOT_CONVERGED, Fit, fit, refitted
 from validation.fit.parameters import free_paths
+from validation.redeciding import diagnosis as redecided
 from validation.redeciding import explanation_of, verdict_of
 
 
@@ -87,6 +89,11 @@ def test_one_effect_is_named_with_its_size() -> None:
     assert dict(found.steps[0].refits[0].candidate.shape) == {"length_um": 300.0}
     assert dict(best.shape) == pytest.approx({"length_um": 300.0}, rel=0.01)
     assert "(length_um 299" in found.verdict.sentence or "(length_um 300" in found.verdict.sentence
+    scored, base = found.steps[0].scores.of("stripes"), found.steps[0].ground.fit
+    assert scored is not None
+    assert scored.best.size != best.value
+    column = np.linalg.norm(base.basis.left(scored.best.candidate.columns))  # sigma is of the fitted size
+    assert best.sigma == pytest.approx(abs(best.value) * column, rel=1e-9)
 
 
 @pytest.mark.parametrize(("a", "b"), [(0.08, 0.06), (-0.06, 0.08), (0.08, 0.0)])
@@ -391,6 +398,16 @@ def test_two_effects_are_found_one_after_the_other() -> None:
     found = diagnosis(fogged, known=known)
     assert {one.name for one in found.added} == {"stripes", "fog"}
     assert "What it leaves is explained by" in found.verdict.sentence
+    first, second = found.steps
+    either = replace(second.verdict, word="cannot_tell_apart", set=(second.best.name, "ripple"))
+    for verdict, rivals in ((second.verdict, []), (either, ["ripple"])):
+        whole = Diagnosis((first, replace(second, verdict=verdict)), found.known)
+        said = json.loads(json.dumps(document(whole, 1)))
+        assert [row["rivals"] for row in said["added"]] == [[], rivals]
+        assert ("not told apart from ripple)" in said["sentence"]) == bool(rivals)
+        told: list[Compared] = []
+        redecided(said, Place(told.append))
+        assert {one.what: one.verdict for one in told}["sentence"] == "identical"
 
 
 @pytest.mark.parametrize(("ripple", "stripes"), [(0.0238, 0.031), (0.0077, 0.0093)])

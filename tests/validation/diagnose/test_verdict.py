@@ -157,7 +157,9 @@ def test_a_doubted_fit_is_mended_first_but_for_limits_to_which_what_is_missing_m
     told = Share(share, 0.02)
     only = replace(explanation("chips", 400.0, told, {}), has_members=group, p_left=left, distrust=(reason,))
     first = Verdict("one_effect", "One effect.", ("chips",))
-    assert concluded(first, only, [told], left, 32, lambda: "").word == word
+    found = concluded(first, only, [told], left, 32, lambda: "stripes.")
+    assert found.word == word
+    assert (reason in found.sentence) == (word != "one_effect")  # there it follows (`told_of_rest`)
 
 
 def test_a_limit_that_is_left_standing_is_told() -> None:
