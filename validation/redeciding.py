@@ -87,8 +87,8 @@ def explanation_of(row: Document) -> Explanation:
         share=Share(row["explained_share"], _infinite(row["explained_share_error"])),
         held_out=None if change is None else Change(change, row["held_out_density_error"]),
         held_out_percent=None if None in percents else percents, log_evidence=row["log_evidence"],
-        plausible=row["plausible"], has_members=row.get("has_members", False), by_place=row.get("by_place"),
-        distrust=tuple(row["distrust"]),
+        plausible=row["plausible"], at_end=row.get("at_end", False), has_members=row.get("has_members", False),
+        by_place=row.get("by_place"), distrust=tuple(row["distrust"]),
         p_left=row["p_left"], sigma=row["sigma"], sigma_rival=row["sigma_rival"],
         as_well=tuple(tuple(words) for words in row["fits_as_well"]),
     )  # fmt: skip

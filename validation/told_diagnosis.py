@@ -142,7 +142,9 @@ def _effect(row: Document) -> tuple[str, ...]:
         share = f"{100.0 * row['explained_share']:.{digits}f} +- {100.0 * error:.{digits}f} %"
     return (
         row["name"] + (f" ({row['why_not']})" if row["why_not"] else ""),
-        size_in_words(name, size["value"], size["error"], size["unit"], row["shape"], row["fits_as_well"]),
+        size_in_words(
+            name, size["value"], size["error"], size["unit"], row["shape"], row["fits_as_well"], row["at_end"]
+        ),
         f"{row['chi2_drop']:.0f}",
         share,
         held,

@@ -98,8 +98,8 @@ def _effects(document: Document) -> Iterator[str]:
         [_effect(one) for one in document["effects"]],
         "Added one at a time and fitted with the model's own parameters. Explains: of the contrasts that were loudest"
         " before. Held-out: all images of one sample left out in turn. P left: as the structure p, with the effect."
-        " Implausible: at an end of its range, or no gain. Follows the field: as a camera or an optic does, and chips"
-        " by chance do not.",
+        " Implausible: driven beyond its range, or no gain. Follows the field: as a camera or an optic does, and"
+        " chips by chance do not.",
         words=2,
     )
 
@@ -111,7 +111,9 @@ def _effect(one: Document) -> tuple[str, ...]:
         held = f"{number(one['held_out_before'])} → {number(one['held_out_after'])}"
     return (
         one["name"] + (f" ({one['why_not']})" if one["why_not"] else ""),
-        f"{name} {_value(size['value'], size['error'])} {size['unit']}".rstrip() + _shape(one.get("shape", {})),
+        f"{name} {_value(size['value'], size['error'])} {size['unit']}".rstrip()
+        + _shape(one.get("shape", {}))
+        + (", at the end of its range" if one.get("at_end") else ""),
         f"{one['chi2_drop']:.0f}",
         _share(one) or NOTHING,
         held,

@@ -123,6 +123,7 @@ def test_a_limit_is_reported_and_not_trusted():
     model = MODEL.model_copy(update={"fit": MODEL.fit | {SIGMA: Fit(free=True, lower=1.0, upper=5.5)}})
     result = fit(model, two_images(), Spots())
     assert SIGMA in result.at_limit
+    assert SIGMA in result.driven
     assert result.value(SIGMA) == 5.5
     assert result.error(SIGMA) == 0.0
     assert not result.trusted

@@ -56,6 +56,26 @@ def test_a_score_on_a_fit_is_what_the_fit_with_the_column_gains() -> None:
     assert left @ rows / (left @ left) == pytest.approx(within.value("c"), rel=1e-6)
 
 
+@pytest.mark.parametrize(("beyond", "drives"), [(1.0, False), (3.0, True)])
+def test_a_parameter_that_noise_may_have_put_at_its_limit_is_no_reason_for_doubt(beyond: float, drives: bool) -> None:
+    """By chi2 beyond the limit, the others fitted anew: the square of what lies beyond it over its error there."""
+    even, odd = np.ones(40), np.where(np.arange(40) % 2, 1.0, -0.2)
+    shapes, both = {"a": {"t": even, "u": odd}}, np.stack([even, odd]) / SIGMA
+    error = np.sqrt(np.linalg.inv(both @ both.T)[0, 0])
+    values = {"a": (2.0 + beyond * error) * even + 0.4 * odd}
+    free = fit_of_lines(shapes, values, [Parameter("t"), Parameter("u")])
+    held = fit_of_lines(shapes, values, [Parameter("t", upper=2.0), Parameter("u")])
+    assert held.chi2 - free.chi2 == pytest.approx(beyond**2, rel=1e-6)
+    assert (held.value("t"), held.at_limit) == (2.0, ("t",))
+    if drives:
+        assert (held.driven, held.error("t")) == (("t",), 0.0)
+        assert any("t is at its limit" in reason for reason in held.distrust)
+        return
+    assert (held.driven, held.trusted) == ((), True)
+    assert held.error("t") == pytest.approx(error * np.sqrt(held.variance_scale), rel=1e-6)
+    assert held.error("u") == pytest.approx(free.error("u") * np.sqrt(held.variance_scale / free.variance_scale))
+
+
 def test_the_error_of_a_prediction_stands_beside_that_of_the_data() -> None:
     """Monte Carlo of 4/3 of the measurement's noise: together 5/3, and so is the parameter's error."""
     values = {"a": noisy(np.random.default_rng(2), 2.0 + 0.0 * AXIS)}

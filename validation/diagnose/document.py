@@ -128,6 +128,7 @@ def effect_document(step: Step, one: Explanation) -> dict[str, Any]:
         "log_evidence": one.log_evidence,
         "plausible": one.plausible,
         "why_not": one.why_not,
+        "at_end": one.at_end,
         "has_members": one.has_members,
         "by_place": one.by_place,
         "distrust": list(one.distrust),

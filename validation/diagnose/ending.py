@@ -89,7 +89,7 @@ def _left_off(found: Refitted, problem: Problem, own: Fit) -> tuple[Refitted, Fi
     """
     first, *others = (found.candidate, *found.candidate.others)
     inside = [one for one, path in zip(others, found.paths[1:], strict=True) if path not in own.at_limit]
-    if len(inside) == len(others) or found.paths[0] in own.at_limit:
+    if len(inside) == len(others) or found.paths[0] in own.driven:
         return found, own
     fewer = replace(found, candidate=replace(first, others=tuple(inside)))
     left = {path_of(one.effect.name, one.parameter.name): one.parameter.off for one in others if one not in inside}
@@ -100,7 +100,7 @@ def _left_off(found: Refitted, problem: Problem, own: Fit) -> tuple[Refitted, Fi
     paths = [path for path in own.problem.unknowns.model_paths if path not in left]
     fit = _renewed(*posed(problem, model, paths, own.problem.unknowns.named(own.values)))
     fit = about_its_own(problem, fit) if has_strayed(fit) else fit
-    return (found, own) if not set(fewer.paths).isdisjoint(fit.at_limit) else (fewer, fit)
+    return (found, own) if not set(fewer.paths).isdisjoint(fit.driven) else (fewer, fit)
 
 
 def _at_its_end(problem: Problem, fit: Fit) -> Fit:
@@ -136,7 +136,7 @@ def beside(found: Refitted, other: Refitted, base: Fit) -> Refitted:
 def is_stuck(found: Refitted, base: Fit) -> bool:
     """Whether the base fit, or this one, holds a parameter at its limit that the base fit moves and all samples have
     in common: it went there to make up for what the model lacks."""
-    if found.fit is None or found.at_limit or found.candidate.is_switch or not is_smooth(found.candidate.effect):
+    if found.fit is None or found.driven or found.candidate.is_switch or not is_smooth(found.candidate.effect):
         return False
     return bool(_held(base, base) | _held(found.fit, base))
 
@@ -159,7 +159,7 @@ def unstuck(found: Refitted, base: Fit) -> Refitted:
     if not has_monte_carlo(problem):
         return found
     own = about_its_own(problem, fit, found.chi2)
-    if total_chi2(own) < found.chi2 - OF_TWO_RUNS and set(found.paths).isdisjoint(own.at_limit):
+    if total_chi2(own) < found.chi2 - OF_TWO_RUNS and set(found.paths).isdisjoint(own.driven):
         found, fit = with_fit(found, own), own
     if not _held(fit, base):
         return found
@@ -175,9 +175,9 @@ def unstuck(found: Refitted, base: Fit) -> Refitted:
 
 
 def _held(found: Fit, base: Fit) -> set[str]:
-    """What a fit has at its limit of the base fit's parameters that all samples have in common."""
+    """What the data drive to its limit in a fit of the base fit's parameters that all samples have in common."""
     shared = {path for path in base.problem.unknowns.model_paths if not path.startswith(LEAD)}
-    return shared & set(found.at_limit)
+    return shared & set(found.driven)
 
 
 def _best_words(found: Refitted, problem: Problem, own: Fit) -> tuple[Fit, tuple[Words, ...]]:

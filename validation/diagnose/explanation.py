@@ -37,7 +37,9 @@ class Explanation:
     """Rms error before and after."""
     log_evidence: float | None
     plausible: bool
-    """Inside its range, not at an end of it; of a group, that its members do not follow the field."""
+    """Inside its range, or no further from it than noise; of a group, that its members do not follow the field."""
+    at_end: bool
+    """Of its range, to which noise may have taken it."""
     has_members: bool
     """A group: a number for each chip."""
     by_place: float | None
@@ -65,7 +67,8 @@ class Explanation:
     @property
     def size(self) -> str:
         """For people."""
-        return size_in_words(self.parameter, self.value, self.error, self.unit, dict(self.shape), self.as_well)
+        shape = dict(self.shape)
+        return size_in_words(self.parameter, self.value, self.error, self.unit, shape, self.as_well, self.at_end)
 
 
 def follows_field(by_place: float | None, level: float = LEVEL) -> bool:
@@ -80,6 +83,7 @@ def size_in_words(
     unit: str,
     shape: Mapping[str, Value],
     as_well: Sequence[Sequence[str]] = (),
+    at_end: bool = False,
 ) -> str:
     """A size and what shapes it: "edge_loss 0.078 +- 0.0028 (law cos4; as well: quadratic)"; a switch's word."""
     if parameter in shape:
@@ -89,4 +93,5 @@ def size_in_words(
         f"{name} {one:.4g}" if isinstance(one, float) else f"{name} {one}" for name, one in shape.items()
     )
     others = f"; as well: {', '.join(' '.join(words) for words in as_well)}" if as_well else ""
-    return f"{parameter} {value:.3g}{known} {unit}".rstrip() + (f" ({shaped}{others})" if shaped else "")
+    ends = ", at the end of its range" if at_end else ""
+    return f"{parameter} {value:.3g}{known} {unit}".rstrip() + (f" ({shaped}{others})" if shaped else "") + ends

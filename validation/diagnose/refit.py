@@ -72,7 +72,7 @@ def freed(base: Fit, score: Score, slopes: Slopes) -> Refitted:
     if inside[:1] != tried[:1] or len(inside) == len(tried):
         return found
     fewer = _freed(base, score, slopes, inside)
-    return found if fewer.at_limit else fewer
+    return found if fewer.driven else fewer
 
 
 def _freed(base: Fit, score: Score, slopes: Slopes, tried: Sequence[Candidate]) -> Refitted:
@@ -106,7 +106,7 @@ def _freed(base: Fit, score: Score, slopes: Slopes, tried: Sequence[Candidate]) 
     found = refitted(problem, values, STEPS)
     return Refitted(
         candidate, found.value(paths[0]), found.error(paths[0]), found.residual, total_chi2(found),
-        not set(paths).isdisjoint(found.at_limit), found.model, found,
+        not set(paths).isdisjoint(found.driven), found.model, found,
     )  # fmt: skip
 
 

@@ -35,7 +35,8 @@ class Refitted:
     """(row,), whitened."""
     chi2: float
     """Of data and priors; of an effect that the twin cannot represent its line's, about the base's own anchor."""
-    at_limit: bool
+    driven: bool
+    """A parameter of the effect to its limit: beyond it chi2 would fall by more than noise does."""
     model: Model | None
     """None for a group as long as its members are no numbers of a model."""
     fit: Fit | None
@@ -104,7 +105,7 @@ def with_fit(found: Refitted, fit: Fit) -> Refitted:
     switch, (path, *_) = found.candidate.is_switch, found.paths
     return replace(
         found, value=1.0 if switch else fit.value(path), error=0.0 if switch else fit.error(path),
-        residual=fit.residual, chi2=total_chi2(fit), at_limit=not set(found.paths).isdisjoint(fit.at_limit),
+        residual=fit.residual, chi2=total_chi2(fit), driven=not set(found.paths).isdisjoint(fit.driven),
         model=fit.model, fit=fit,
     )  # fmt: skip
 

@@ -219,7 +219,8 @@ def _explanation(
         held_out=change,
         held_out_percent=percents,
         log_evidence=_log_evidence(ground, found, drop, columns[score.name]),
-        plausible=not found.at_limit and drop > 0.0 and not follows_field(by_place),
+        plausible=not found.driven and drop > 0.0 and not follows_field(by_place),
+        at_end=found.fit is not None and not found.driven and not set(found.paths).isdisjoint(found.fit.at_limit),
         has_members=candidate.is_group,
         by_place=by_place,
         distrust=base.distrust if found.fit is None else found.fit.distrust,
@@ -245,7 +246,7 @@ def _by_place(base: Fit, candidate: Candidate) -> float:
 def _log_evidence(ground: Ground, found: Refitted, drop: float, columns: Real) -> float | None:
     """None for a switch, which has no range, and where the size is not known."""
     candidate = found.candidate
-    if candidate.is_switch or found.at_limit:
+    if candidate.is_switch or found.driven:
         return None
     if candidate.is_group:
         _, upper = limits_of(candidate.parameter)

@@ -6,7 +6,7 @@ transformations, so no digits are lost to normal equations; all that follows wor
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -85,6 +85,12 @@ class Reduced:
     def gap(self) -> float:
         """What the best step is expected to take off chi2: the square of what columns and priors still find."""
         return max(0.0, self.chi2 - self.step().chi2)
+
+    def beyond(self, index: int) -> float:
+        """What the best step would take off chi2 besides, could this parameter leave its range."""
+        one = replace(self.parameters[index], lower=-np.inf, upper=np.inf)
+        released = replace(self, parameters=(*self.parameters[:index], one, *self.parameters[index + 1 :]))
+        return max(0.0, self.step().chi2 - released.step().chi2)
 
     def chi2_after(self, change: Real) -> float:
         """What the linear model expects after a change, priors included."""

@@ -29,6 +29,8 @@ LEAST_GAP = 0.1
 ROUNDING = 1e-6
 """Of a degree of freedom: as many parameters as values leave some 1e-15, of either sign."""
 UNMENDED = "free less, or look for what the model lacks (luxloop where, luxloop diagnose)"
+BEYOND = 4.0
+"""Of chi2, that a parameter at its limit may gain beyond it: so much noise does, too, of what is near the limit."""
 MOST_HISTORIES = 10**9  # of a sample, that a request may ask for
 LEAST_LIGHT = 5.0
 """Of a gain, in its errors: below, an image may be of no light at all."""
@@ -59,6 +61,7 @@ class Fit:
     gap: float  # of chi2, that the last step still found
     converged: bool
     at_limit: tuple[str, ...]
+    driven: tuple[str, ...]  # of these, what the data drive beyond its limit, by more than noise does
     distrust: tuple[str, ...]  # reasons, empty where the fit may be trusted
 
     @property
@@ -80,7 +83,7 @@ class Fit:
         return float(self.values[self.names.index(name)])
 
     def error(self, name: str) -> float:
-        """Its standard error; 0 for one held at a limit, inf for one that nothing in the data holds."""
+        """Its standard error; 0 for one driven to its limit, inf for one that nothing in the data holds."""
         index = self.names.index(name)
         return float(np.sqrt(self.covariance[index, index]))
 
@@ -167,9 +170,11 @@ def conclude(
     scale = variance_scale(chi2, freedom)
     names = evaluation.problem.unknowns.names
     at_limit = tuple(name for name, held in zip(names, last.at_limit, strict=True) if held)
+    driven = tuple(name for n, name in enumerate(names) if name in at_limit and reduced.beyond(n) > BEYOND * scale)
     gap = max(0.0, reduced.chi2 - last.chi2)
+    known = ~np.isin(names, driven) & ~reduced.blind
     covariance = (
-        reduced.covariance(scale, active) if other is None else reduced.covariance_of(columns, other, scale, active)
+        reduced.covariance(scale, known) if other is None else reduced.covariance_of(columns, other, scale, known)
     )
     return Fit(
         problem=evaluation.problem,
@@ -191,8 +196,9 @@ def conclude(
         gap=gap,
         converged=converged,
         at_limit=at_limit,
+        driven=driven,
         distrust=(
-            *_reasons(evaluation.problem, reduced, active, at_limit, gap, converged, freedom),
+            *_reasons(evaluation.problem, reduced, active, driven, gap, converged, freedom),
             *_of_noise(evaluation.problem, white, share),
             *_of_light(evaluation.problem, values, covariance),
         ),
@@ -248,7 +254,7 @@ def _reasons(
     problem: Problem,
     reduced: Reduced,
     active: Mask,
-    at_limit: tuple[str, ...],
+    driven: tuple[str, ...],
     gap: float,
     converged: bool,
     freedom: float,
@@ -256,7 +262,7 @@ def _reasons(
     """Why a fit may not be trusted, one sentence each."""
     reasons = []
     known = {parameter.name: parameter for parameter in problem.unknowns.parameters}
-    for name in at_limit:
+    for name in driven:
         low, high = known[name].lower, known[name].upper
         reasons.append(f"{name}{AT_LIMIT} ({low:g} to {high:g}); widen the limits or add what is missing")
     if not converged:

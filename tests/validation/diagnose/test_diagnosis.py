@@ -145,7 +145,7 @@ def test_a_number_that_only_its_end_drives_there_is_left_off_too() -> None:
     problem, values = posed(found.fit.problem, model, found.fit.problem.unknowns.model_paths, start)
     held = with_fit(found, refitted(problem, values, 1))
     ended = finished(held, predictor, None)  # type: ignore[arg-type]  # it predicts as a predictor does
-    assert (ended.at_limit, ended.size.keys(), ended.paths) == (False, {"a"}, ("effects.rise.a",))
+    assert (ended.driven, ended.size.keys(), ended.paths) == (False, {"a"}, ("effects.rise.a",))
     assert abs(ended.value - 0.08) < 4.0 * ended.error
     assert ended.model is not None
     assert ended.model.leaves()["effects.rise.b"] == 0.0
@@ -158,6 +158,31 @@ def test_an_effect_whose_square_counts_is_fitted_from_off() -> None:
     best = diagnosis(data("fog", 3, 0.3)).added[0]
     assert best.name == "fog"
     assert abs(best.value - 0.3) < 3.0 * best.error
+
+
+@pytest.mark.parametrize(("errors", "named"), [(1.0, True), (4.0, False)])
+def test_what_noise_may_have_put_at_the_end_of_its_range_is_named(errors: float, named: bool) -> None:
+    """Of a range that ends one error below the best size, or four of them."""
+    images, (ripple, *others) = data("ripple", 3, 0.06), CATALOGUE
+    whole = diagnosis(images).added[0]
+    narrow = ripple.parameters[0].model_copy(update={"upper": whole.value - errors * whole.error})
+    ended = ripple.model_copy(update={"parameters": (narrow, *ripple.parameters[1:])})
+    found = diagnosis(images, known=(ended, *(one for one in others if one.name != "ripple_like")))
+    one = next(one for one in found.steps[0].explanations if one.name == "ripple")
+    assert one.value == narrow.upper
+    assert (one.plausible, one.at_end, one.why_not) == (named, named, "" if named else "implausible")
+    row = effect_document(found.steps[0], one)
+    assert explanation_of(row).size == one.size
+    assert ("at the end of its range" in one.size) is named
+    if not named:
+        assert (one.error, one.log_evidence) == (0.0, None)
+        assert "ripple" not in found.set
+        return
+    assert found.set == ("ripple",)
+    assert one.error == pytest.approx(whole.error, rel=0.05)
+    assert one.log_evidence is not None
+    assert "at the end of its range. It explains" in found.verdict.sentence
+    assert not one.distrust
 
 
 def test_only_a_little_that_is_left_to_gain_is_excused_by_a_missing_effect() -> None:

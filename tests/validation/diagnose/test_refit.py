@@ -417,9 +417,9 @@ def test_a_refit_at_a_limit_is_made_anew_from_where_the_model_began(base: Fit) -
     kept, smooth = found.fit, found.candidate.effect.model_copy(update={"twin": True})
     found = replace(found, candidate=replace(found.candidate, effect=smooth))
     assert not is_stuck(found, base)
-    at_limit = replace(found, chi2=found.chi2 + 50.0, fit=replace(kept, at_limit=(HALO,)))
+    at_limit = replace(found, chi2=found.chi2 + 50.0, fit=replace(kept, driven=(HALO,)))
     assert is_stuck(at_limit, base)
-    assert not is_stuck(replace(at_limit, at_limit=True), base)
+    assert not is_stuck(replace(at_limit, driven=True), base)
     anchored = replace(base, problem=replace(base.problem, predictor=Affected()))
     back = unstuck(at_limit, anchored)
     assert back.fit is not None
@@ -457,13 +457,13 @@ def test_monte_carlo_is_not_asked_where_the_twin_begins_worse(base: Fit, monkeyp
     """Of a short list most fits that are stuck are no better anew, or go to the limit again: minutes each."""
     found = freed(base, score_of(base), slopes_of(base))
     assert found.fit is not None
-    at_limit = replace(found, fit=replace(found.fit, at_limit=(HALO,)))
+    at_limit = replace(found, fit=replace(found.fit, driven=(HALO,)))
     predictor, asked = Anchors(), list[Fit]()
     anchored = replace(base, problem=replace(base.problem, predictor=predictor))
     begun, stays = replace(base, chi2=120.0), replace(base, chi2=100.0)
     monkeypatch.setattr(ending, "chi2_by_twin", lambda *_: 500.0)
     monkeypatch.setattr(ending, "about_its_own", lambda _, fit, *__: (asked.append(fit), fit)[1])
-    for fits in ([begun, stays], [replace(begun, chi2=90.0, at_limit=(HALO,))], [replace(begun, chi2=600.0)]):
+    for fits in ([begun, stays], [replace(begun, chi2=90.0, driven=(HALO,))], [replace(begun, chi2=600.0)]):
         twins = iter(fits)
         monkeypatch.setattr(ending, "by_twin", lambda *_, twins=twins: next(twins))
         assert unstuck(at_limit, anchored) is at_limit
@@ -480,7 +480,7 @@ def test_a_refit_beside_a_base_in_a_corner_is_fitted_about_its_own(
     assert found.fit is not None
     smooth = found.candidate.effect.model_copy(update={"twin": True})
     found = replace(found, candidate=replace(found.candidate, effect=smooth))
-    corner = replace(base, at_limit=(HALO,))
+    corner = replace(base, driven=(HALO,))
     assert is_stuck(found, corner)
     assert not is_stuck(replace(found, candidate=replace(found.candidate, effect=RIPPLE)), corner)
     for gain, freed_by_it in ((20.0, False), (90.0, True)):

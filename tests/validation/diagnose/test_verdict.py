@@ -16,8 +16,8 @@ def explanation(name: str, drop: float, share: Share, beside: dict[str, float]) 
     """What an effect came to, one that may be named; what is left beside each rival, in sigma."""
     return Explanation(
         name=name, parameter="size", unit="", value=0.1, error=0.02, shape=(), as_well=(), drop=drop, share=share,
-        held_out=None, held_out_percent=None, log_evidence=None, plausible=True, has_members=False, by_place=None,
-        distrust=(), p_left=0.3, sigma=drop**0.5, sigma_rival=beside,
+        held_out=None, held_out_percent=None, log_evidence=None, plausible=True, at_end=False, has_members=False,
+        by_place=None, distrust=(), p_left=0.3, sigma=drop**0.5, sigma_rival=beside,
     )  # fmt: skip
 
 
