@@ -72,9 +72,8 @@ class RayRequest(Module):
     @model_validator(mode="after")
     def _one_end(self) -> RayRequest:
         if (self.histories is None) == (self.target_error_points is None):
-            raise InputError(
-                "histories", self.histories, "a count, or else target_error_points", "give one of the two"
-            )
+            allowed = "a count, or else target_error_points"
+            raise InputError("histories", self.histories, allowed, "give one of the two")
         return self
 
 
@@ -110,5 +109,6 @@ class PredictionRequest(Words):
     shots: tuple[ShotRequest, ...] = Field(min_length=1, max_length=64, description="Images of one size.")
     columns: tuple[Name, ...] = Field((), max_length=64, description="Parameters to differentiate by.")
     anchor: AnchorRequest | None = None
+    noise: bool = Field(True, description="Of the anchor's Monte Carlo, to be told with the images.")
     exit_histories: int = Field(131_072, ge=1, le=524_288, description="Whose exits the twin lands.")
     exit_seed: Seed = Field("1", description="Of the walk inside the chip.")

@@ -103,13 +103,13 @@ class Predictor:
         -----
         All in irradiance, 1/mm^2 per flux of a chip, before a camera's gain: `images_per_mm2` (shot, row, column);
         `jacobian_per_mm2` (column, shot, row, pixel column) in the order of `columns`, by each shot's own parameter,
-        of its scene or of its camera, in the unit that its name ends with; with an anchor `noise_per_mm2` (function,
-        shot, row, column): the covariance of two pixels is the sum over functions of their products, and
-        `twin_per_mm2` (shot, row, column), the twin alone, whose noise has nothing in common with that, unless the
-        anchor has the stored exits; where sensors bend signals `by_gain_per_mm2` and `by_offset` (shot, row, column),
-        by which the twin's signal grows with the gain and with the offset. Images are float64, for differences are
-        taken of them; the others are float32, which rounds 6e-8 of a value: the least noisy column of a scene has
-        1e-4, the noise knows itself to some percent.
+        of its scene or of its camera, in the unit that its name ends with; with an anchor, where that is wanted,
+        `noise_per_mm2` (function, shot, row, column): the covariance of two pixels is the sum over functions of their
+        products, and `twin_per_mm2` (shot, row, column), the twin alone, whose noise has nothing in common with
+        that, unless the anchor has the stored exits; where sensors bend signals `by_gain_per_mm2` and `by_offset`
+        (shot, row, column), by which the twin's signal grows with the gain and with the offset. Images are float64,
+        for differences are taken of them; the others are float32, which rounds 6e-8 of a value: the least noisy
+        column of a scene has 1e-4, the noise knows itself to some percent.
         """
         columns, cameras = _columns(request)
         _refuse_too_much(request)
@@ -125,7 +125,9 @@ class Predictor:
             anchor = self._anchor(request.anchor, job, supply, means)
             shots = anchor.near(shots)
             found = anchor.predict(shots, supply, cameras, report=steps.image)
-            arrays = {"images_per_mm2": found.images_per_mm2, "noise_per_mm2": found.noise_per_mm2.astype(np.float32)}
+            arrays = {"images_per_mm2": found.images_per_mm2}
+            if request.noise:
+                arrays["noise_per_mm2"] = found.noise_per_mm2.astype(np.float32)
             arrays["twin_per_mm2"] = found.twin_per_mm2.astype(np.float32)
             of_camera = found.of_camera_per_mm2
         if request.columns:

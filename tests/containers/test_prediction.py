@@ -86,6 +86,49 @@ def test_the_error_at_the_anchor_is_carried_as_a_share_of_the_light(dim: tuple[S
     np.testing.assert_allclose(there.noise_per_mm2, share * here.noise_per_mm2)
 
 
+@pytest.mark.parametrize(
+    "lens",
+    [
+        {"psf_um": 25.0}, {"psf": "moffat2.5", "psf_um": 20.0}, {"magnification_error": 0.02}, {"distortion": -0.03},
+        {"vignetting": 0.2}, {"shift_px": (0.4, -0.3)}, {"glare": 0.1, "glare_um": 300.0},
+    ],
+    ids=lambda lens: next(iter(lens)),
+)  # fmt: skip
+def test_a_lens_acts_on_all_of_the_light_and_not_on_the_twins_alone(
+    dim: tuple[Scene, Exits], lens: dict[str, object]
+) -> None:
+    """What Monte Carlo has over the twin is blurred, stretched and darkened too: an anchor before another lens, or
+    another place of the camera, says the same."""
+    case, exits = dim
+    supply, options = Supply(lambda _: exits), {"blocks": 1, "shadow_rays": 1024}
+    of = shots(case)
+    fields = [ModuleTwin(shot.scene, exits, groups=8, seed=7).field() for shot in of]
+    moved = [replace(shot, camera=shot.camera.model_copy(update=lens)) for shot in of]
+    here = Anchor(of, fields, supply, **options).predict(moved, supply)
+    there = Anchor(moved, fields, supply, **options).predict(moved, supply)
+    most = there.images_per_mm2.max()
+    assert np.abs(there.images_per_mm2 - there.twin_per_mm2).max() > 1e-3 * most
+    np.testing.assert_allclose(here.images_per_mm2, there.images_per_mm2, atol=1e-9 * most)
+
+
+def test_a_plate_scatters_all_of_the_light_and_not_the_twins_alone(dim: tuple[Scene, Exits]) -> None:
+    """What Monte Carlo has over the twin is displaced, too: an anchor behind a clear plate says nearly the same."""
+    case, exits = dim
+    supply, options = Supply(lambda _: exits), {"blocks": 1, "shadow_rays": 1024}
+    of = shots(case)
+    plate = replace(case.receiver, spread_share=0.5, spread_um=90.0)
+    hazy = [replace(shot, scene=replace(shot.scene, receiver=plate)) for shot in of]
+    seen = []
+    for about in (of, hazy):
+        fields = [ModuleTwin(shot.scene, exits, groups=8, seed=7).field() for shot in about]
+        seen.append(Anchor(about, fields, supply, **options).predict(hazy, supply))
+    clear, same = seen
+    missing = same.images_per_mm2 - same.twin_per_mm2
+    assert np.abs(missing).max() > 1e-3 * same.images_per_mm2.max()
+    differ = clear.images_per_mm2 - same.images_per_mm2
+    assert np.linalg.norm(differ) < 0.03 * np.linalg.norm(missing)
+
+
 def test_the_noise_of_a_run_is_told_alike_whichever_camera_comes_first(dim: tuple[Scene, Exits]) -> None:
     """One run seen by a near and a wide camera: what the near one tells apart says nothing of the wide one."""
     case, exits = dim

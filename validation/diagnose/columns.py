@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,10 +17,14 @@ from validation.effects.known import acting, applied, off_values, shapes_of, wit
 from validation.effects.signatures import Column, Projection, Sight, signature
 from validation.fit import Fit
 from validation.fit.problem import Problem, sensor_of, view_of
-from validation.prediction import Predictor
+from validation.prediction import Anchored, Predictor
 from validation.prediction.differences import Moved
 
 Real = NDArray[np.float64]
+
+
+AFTER_MODULE = frozenset(["volume", "detector"])
+"""Stages of effects that act on what the twin misses as on its own light: plate, camera, sensor; and absorption."""
 
 
 @dataclass(eq=False)
@@ -31,6 +36,8 @@ class FitSight(Sight):
     traced: dict[tuple[object, ...], list[Column]] = field(default_factory=dict)
     """By effect and shape: columns by Monte Carlo, of this fit or of one before it; their noise is larger than what
     they change by from one round of a diagnosis to the next."""
+    about: Anchored | None = None
+    """Whose Monte Carlo the twin's images have besides; none: they are its own."""
 
     @classmethod
     def of(
@@ -58,11 +65,28 @@ class FitSight(Sight):
     def signature(self, model: Model, spec: EffectSpec, shape: Mapping[str, Value]) -> list[Column]:
         """The columns of an effect in a shape."""
         if spec.twin:
-            return signature(self, self.at(model, spec), spec, shape)
+            sight = self._of_all_light if spec.stage in AFTER_MODULE else self
+            return signature(sight, self.at(model, spec), spec, shape)
         key = (spec.name, *shape.items())
         if key not in self.traced:
             self.traced[key] = signature(self, model, spec, shape)
         return self.traced[key]
+
+    @cached_property
+    def _of_all_light(self) -> FitSight:
+        """The same of all the light that the fit knows of, where it is about Monte Carlo."""
+        anchor = None if self.problem is None else self.problem.anchor
+        return self if anchor is None or not anchor.histories else replace(self, about=anchor, _known={})
+
+    def _of_twin(
+        self, models: Iterable[Model], wanted: Sequence[int], lender: Model, exit_seed: int
+    ) -> Iterator[list[Real]]:
+        if self.about is None or len(wanted) < len(self.views):
+            yield from super()._of_twin(models, wanted, lender, exit_seed)
+            return
+        for model in models:
+            found = self.predictor.images(model, self.views, (), self.about, noise=False)
+            yield [one.irradiance_per_mm2 for one in found]
 
     def _curves(self, model: Model) -> Iterator[Real]:
         if self.problem is not None and self.problem.curves and self.problem.predict_curves is not None:

@@ -28,6 +28,11 @@ class Catalogue:
         """Names of a model's effects that the twin cannot represent."""
         return frozenset(one.name for one in model.effects if not self._specs.get(one.name, {}).get("twin", True))
 
+    def after_module(self, model: Model) -> frozenset[str]:
+        """Names of a model's effects that act on light after it has left the module: in the plate, camera, sensor."""
+        stages = ("volume", "detector")
+        return frozenset(one.name for one in model.effects if self._specs.get(one.name, {}).get("stage") in stages)
+
     def of_films(self, model: Model) -> tuple[AppliedEffect, ...]:
         """A model's effects that decide a film's table; one that nobody knows too, so that a worker refuses it."""
         return tuple(one for one in model.effects if self._specs.get(one.name, {}).get("stage", "stack") == "stack")

@@ -78,6 +78,10 @@ class Wanted:
     film_of: FilmOf
     beyond_twin: frozenset[str] = frozenset()
     """Names of effects that the twin cannot represent."""
+    after_module: frozenset[str] = frozenset()
+    """Names of effects that act on light which has left the module: on what an anchor has over the twin, too."""
+    noise: bool = True
+    """Of the anchor's Monte Carlo, with the images."""
 
     @property
     def exit_seed(self) -> str:
@@ -101,9 +105,17 @@ class Wanted:
         return tuple(path for path in self.paths if path in COLUMNS)
 
     @property
+    def of_all_light(self) -> tuple[str, ...]:
+        """By differences of models that are moved about the anchor: of effects after the module."""
+        at = self.anchor
+        names = self.after_module - self.beyond_twin if at is not None and at.histories else frozenset[str]()
+        return tuple(path for path in self.paths if path.startswith("effects.") and path.split(".")[1] in names)
+
+    @property
     def differences(self) -> tuple[str, ...]:
-        """All others: by differences of moved models."""
-        return tuple(path for path in self.paths if path not in COLUMNS and path not in POSE_COLUMNS)
+        """All others: by differences of moved models, as the twin has them."""
+        known = {*COLUMNS, *POSE_COLUMNS, *self.of_all_light}
+        return tuple(path for path in self.paths if path not in known)
 
 
 def predict(wanted: Wanted, views: Sequence[View], ask: Ask) -> list[Predicted]:
@@ -117,6 +129,8 @@ def predict(wanted: Wanted, views: Sequence[View], ask: Ask) -> list[Predicted]:
     requests = [_image_request(wanted, views, group) for group in groups]
     requests += [_column_request(wanted, views, group) for group in groups if wanted.columns]
     requests += [_difference_request(wanted, views, [moves[n] for n in some]) for some in further]
+    of_all_light = [(path, *moved) for path in wanted.of_all_light for moved in moved_models(wanted.model, path)]
+    requests += [_moved_request(wanted, views, model, group) for *_, model in of_all_light for group in groups]
     answers = iter(ask(requests))
     found: dict[int, Predicted] = {}
     for group in groups:
@@ -128,6 +142,11 @@ def predict(wanted: Wanted, views: Sequence[View], ask: Ask) -> list[Predicted]:
         for n, image in zip(some, next(answers).arrays["images_per_mm2"], strict=True):
             columns = found[moves[n].view].jacobian_per_mm2
             columns[moves[n].path] = columns.get(moves[n].path, 0.0) + moves[n].weight * _real(image)
+    for path, weight, _ in of_all_light:
+        for group in groups:
+            for n, image in zip(group, next(answers).arrays["images_per_mm2"], strict=True):
+                columns = found[n].jacobian_per_mm2
+                columns[path] = columns.get(path, 0.0) + weight * _real(image)
     for sample in {view.sample.id for view in views}:
         parts = [[n for n in group if views[n].sample.id == sample] for group in groups]
         found |= _told_apart(found, [part for part in parts if part])
@@ -213,7 +232,13 @@ def _image_request(wanted: Wanted, views: Sequence[View], group: Sequence[int]) 
     anchored = tuple(_shot(at.model, view, wanted.film_of) for view in seen)
     histories = at.histories_of(views[group[0]].sample.id)
     anchor = AnchorRequest(shots=anchored, histories=histories, seed=str(at.seed), stored_exits=at.stored_exits)
-    return PredictionRequest(shots=shots, columns=wanted.poses, anchor=anchor, exit_seed=wanted.exit_seed)
+    seed, noise = wanted.exit_seed, wanted.noise
+    return PredictionRequest(shots=shots, columns=wanted.poses, anchor=anchor, exit_seed=seed, noise=noise)
+
+
+def _moved_request(wanted: Wanted, views: Sequence[View], model: Model, group: Sequence[int]) -> PredictionRequest:
+    """The same of a moved model, about the same anchor; what noise that has is known."""
+    return _image_request(replace(wanted, model=model, paths=(), noise=False), views, group)
 
 
 def _column_request(wanted: Wanted, views: Sequence[View], group: Sequence[int]) -> PredictionRequest:

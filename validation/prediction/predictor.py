@@ -54,7 +54,13 @@ class Predictor:
         return found
 
     def images(
-        self, model: Model, views: Sequence[View], paths: Sequence[str] = (), anchor: Anchored | None = None
+        self,
+        model: Model,
+        views: Sequence[View],
+        paths: Sequence[str] = (),
+        anchor: Anchored | None = None,
+        *,
+        noise: bool = True,
     ) -> list[Predicted]:
         """The expected images of views, in their order.
 
@@ -63,13 +69,16 @@ class Predictor:
         paths : parameters of the model, and names of `POSE_COLUMNS`, to differentiate by.
         anchor : where Monte Carlo is run; none: the twin alone. Derivatives by parameters that no worker
             differentiates (all but reflectances, the substrate's sigma, absorption and poses) are then those there.
+        noise : of the anchor's Monte Carlo, with the images; without it they are a fraction of its size.
 
         Raises
         ------
         InputError : a path that is not in the model or cannot move.
         RemoteError : what a worker refuses, with the field of its shot.
         """
-        wanted = images.Wanted(model, tuple(paths), anchor, self._films.of, self._catalogue.beyond_twin(model))
+        known = self._catalogue
+        special = known.beyond_twin(model), known.after_module(model)
+        wanted = images.Wanted(model, tuple(paths), anchor, self._films.of, *special, noise=noise)
         found = self._again(lambda: images.predict(wanted, views, self._answers))
         return [self._with_noise_of_data(one, view) for one, view in zip(found, views, strict=True)]
 

@@ -1,11 +1,14 @@
 """What cameras would see at parameters near an anchor, and how that changes with each parameter.
 
-    prediction(theta) = twin(theta) + s (Monte Carlo at the anchor - twin(anchor)), s = light at theta / there
+    map(theta) = twin(theta) + s (Monte Carlo at the anchor - twin(anchor)), s = light at theta / there
+    image(theta) = what the camera at theta sees of that map
 
 The twin's own error is nearly the same share of the light at both and cancels; what is left of the noise is that of
 one Monte Carlo run, the same share at all parameters, and its covariance is known. With s = 1 a gain that is fitted
-makes too much or too little of both wherever the light of an image has changed. All images here are irradiance in
-1/mm^2 per flux of a chip, before gain and what the sensor does (`camera.response`): up to there a camera is linear.
+makes too much or too little of both wherever the light of an image has changed. Difference and sum are of maps, so
+that a plate that scatters and a lens that blurs, stretches or darkens do so to all of the light; told noise
+stays in the anchor's pixels. All images here are irradiance in 1/mm^2 per flux of a chip, before gain and what the
+sensor does (`camera.response`): up to there a camera is linear.
 """
 
 from __future__ import annotations
@@ -27,6 +30,7 @@ from containers.ray_tracing.light_map import LightMap
 from containers.ray_tracing.several_tops import scenes_of
 from containers.ray_tracing.twin.birthplace import born_as_in, evenly_lit, is_even
 from containers.ray_tracing.twin.columns import CameraColumn, Column
+from containers.ray_tracing.twin.difference import Difference, Plate
 from containers.ray_tracing.twin.direct import in_parallel
 from containers.ray_tracing.twin.module import BINS_PER_HEIGHT, PAD, Lights, ModuleTwin
 from containers.ray_tracing.twin.noise import NoiseBasis, most_functions, noise_columns
@@ -170,8 +174,7 @@ class Prediction:
     functions where no Monte Carlo was run."""
 
     of_camera_per_mm2: Real
-    """(camera column, shot, row, column): how the images change with the camera; the map of the anchor's Monte Carlo
-    less the twin's stays in its pixels, so of that part of the images this is neglected."""
+    """(camera column, shot, row, column): how the images change with the camera."""
     twin_per_mm2: Real
     """(shot, row, column): the twin's alone, without the anchor's Monte Carlo and its noise."""
 
@@ -205,7 +208,7 @@ class Anchor:
     ) -> None:
         self.shots, self._options = tuple(shots), options
         size = refuse_several_sizes(shots)
-        self._correction = np.zeros((len(shots), *size))
+        self._differences: list[Difference] | None = None
         self._noise, self._light = np.zeros((0, len(shots), *size), np.float32), np.zeros(len(shots))
         if fields is None:
             return
@@ -214,19 +217,31 @@ class Anchor:
         even = [shot.evenly_lit() for shot in shots]
         replicas = _replicas([field.grid for field in fields], even, report)
         mean, groups = replicas.mean(axis=0), len(replicas)
-        twin = twin_images(even, supply, report=report, **options)
         threads = options.get("threads")
+        maps = twin_maps(even, supply, report=report, **options)
+        twin = np.stack([shot.image(light) for shot, light in zip(even, maps, strict=True)])
+        monte_carlo = [light_map(_mean_of(field), shot, whole=True) for field, shot in zip(fields, even, strict=True)]
         first, bases = bases_of(even, fields, twin, threads)  # light without the noise that is to be told
         deviations = (replicas - mean) / np.sqrt(groups * (groups - 1.0))
         told = [(deviations[:, i], bases[n], bases[i]) for n, i in enumerate(first)]
         columns = in_parallel(lambda n: noise_columns(*told[n]), range(len(told)), threads)
-        self._noise = np.zeros((max(map(len, columns)), *self._correction.shape), np.float32)
+        self._noise = np.zeros((max(map(len, columns)), len(shots), *size), np.float32)
         for number, one in enumerate(columns):
             self._noise[: len(one), number] = one
+        truth = [light.irradiance_per_mm2 for light in monte_carlo]
         if any(one is not other for one, other in zip(even, shots, strict=True)):
-            mean = mean - twin + twin_images(shots, more or supply, report=report, **options)
-            twin = twin_images(shots, supply, report=report, **options)
-        self._correction, self._light = mean - twin, twin.sum(axis=(1, 2))
+            uneven = twin_maps(shots, more or supply, report=report, **options)
+            truth = [
+                of + shining.irradiance_per_mm2 - evenly.irradiance_per_mm2
+                for of, shining, evenly in zip(truth, uneven, maps, strict=True)
+            ]
+            maps = twin_maps(shots, supply, report=report, **options)
+            twin = np.stack([shot.image(light) for shot, light in zip(shots, maps, strict=True)])
+        self._differences = [
+            Difference(of - light.irradiance_per_mm2, light.irradiance_per_mm2, Plate.of(shot.scene))
+            for of, light, shot in zip(truth, maps, shots, strict=True)
+        ]
+        self._light = twin.sum(axis=(1, 2))
 
     def predict(
         self,
@@ -237,9 +252,10 @@ class Anchor:
         report: Report = nothing,
     ) -> Prediction:
         """The images of the same shots at other parameters, by the exits of the anchor's chips where they can be."""
-        images, of_camera = twin_views(self.near(shots), supply, cameras, report=report, **self._options)
-        share = self._share_of(images.sum(axis=(1, 2)))[:, None, None]
-        return Prediction(images + share * self._correction, share * self._noise, of_camera, images)
+        near = self.near(shots)
+        images, of_camera, twin = _views(near, supply, cameras, self._differences, report=report, **self._options)
+        share = self._share_of(twin.sum(axis=(1, 2)))[:, None, None]
+        return Prediction(images, share * self._noise, of_camera, twin)
 
     def _share_of(self, light: Real) -> Real:
         """(shot,): the light of images in that of the anchor's, 1 where it had none."""
@@ -254,7 +270,11 @@ class Anchor:
     @property
     def nbytes(self) -> int:
         """In memory."""
-        return int(self._noise.nbytes + self._correction.nbytes)
+        return int(self._noise.nbytes) + sum(one.nbytes for one in self._differences or ())
+
+
+def _mean_of(field: Field) -> Grid:
+    return lambda x, y: field.grid(x, y).mean(axis=0)
 
 
 def bases_of(
@@ -301,26 +321,69 @@ def twin_views(
     report : called before each image, from several threads; what it raises ends the whole.
     options : `ModuleTwin`'s blocks and shadow_rays.
     """
+    images, of_camera, _ = _views(shots, supply, cameras, None, threads=threads, report=report, **options)
+    return images, of_camera
+
+
+def _views(
+    shots: Sequence[Shot],
+    supply: Supply,
+    cameras: Sequence[CameraColumn],
+    differences: Sequence[Difference] | None,
+    *,
+    threads: int | None = None,
+    report: Report = nothing,
+    **options: int,
+) -> tuple[Real, Real, Real]:
+    """The same of maps with what the twin misses in them, where that is known; then the twin's own images."""
     rows, columns = refuse_several_sizes(shots)
-    parts = [scenes_of(shot.scene) for shot in shots]
-    exits = [[supply.of(one, _base(one, shot)) for one in scenes] for scenes, shot in zip(parts, shots, strict=True)]
-    images = np.zeros((len(shots), rows, columns))
+    images, twin = np.zeros((2, len(shots), rows, columns))
     of_camera = np.zeros((len(cameras), *images.shape))
 
-    def see(number: int) -> None:
+    def see(number: int, light: LightMap) -> None:
+        shot = shots[number]
+        images[number] = twin[number] = shot.image(light)
+        if differences is not None:
+            light = differences[number].added_to(light, Plate.of(shot.scene), shot.image)
+            images[number] = shot.image(light)
+        for derivative, column in zip(of_camera, cameras, strict=True):
+            up, down = (shot.image(light, column.move(shot.camera, s * column.step)) for s in (1.0, -1.0))
+            derivative[number] = (up - down) / (2.0 * column.step)
+
+    _lit(see, shots, supply, whole=False, threads=threads, report=report, **options)
+    return images, of_camera, twin
+
+
+def twin_maps(shots: Sequence[Shot], supply: Supply, **options: Any) -> list[LightMap]:
+    """The twin's maps of whole modules; parameters as those of `twin_views`."""
+    found: dict[int, LightMap] = {}
+    _lit(found.__setitem__, shots, supply, whole=True, **options)
+    return [found[number] for number in range(len(shots))]
+
+
+def _lit(
+    see: Callable[[int, LightMap], None],
+    shots: Sequence[Shot],
+    supply: Supply,
+    *,
+    whole: bool,
+    threads: int | None = None,
+    report: Report = nothing,
+    **options: int,
+) -> None:
+    """Shows the twin's map of each shot, with its number, several at once: what its camera sees, or the whole."""
+    parts = [scenes_of(shot.scene) for shot in shots]
+    exits = [[supply.of(one, _base(one, shot)) for one in scenes] for scenes, shot in zip(parts, shots, strict=True)]
+
+    def light(number: int) -> None:
         report()
         shot = shots[number]
         with named(shot.name):
             pairs = zip(parts[number], exits[number], strict=True)
             twins = [ModuleTwin(one, its, threads=1, known=supply.lights, **options) for one, its in pairs]
-            light = light_map(lambda x, y: sum(twin.mean(x, y) for twin in twins), shot)
-            images[number] = shot.image(light)
-            for derivative, column in zip(of_camera, cameras, strict=True):
-                up, down = (shot.image(light, column.move(shot.camera, s * column.step)) for s in (1.0, -1.0))
-                derivative[number] = (up - down) / (2.0 * column.step)
+            see(number, light_map(lambda x, y: sum(twin.mean(x, y) for twin in twins), shot, whole=whole))
 
-    in_parallel(see, range(len(shots)), threads)
-    return images, of_camera
+    in_parallel(light, range(len(shots)), threads)
 
 
 def _base(scene: Scene, shot: Shot) -> Scene | None:
@@ -395,8 +458,8 @@ def image_of(grid: Grid, shot: Shot) -> Real:
     return shot.image(light_map(grid, shot))
 
 
-def light_map(grid: Grid, shot: Shot) -> LightMap:
-    """A map as far as the camera sees, PSF included (with glare: all of it), with eight samples per height.
+def light_map(grid: Grid, shot: Shot, *, whole: bool = False) -> LightMap:
+    """A map as far as the camera sees, PSF included (with glare: all of it), or the whole; eight samples per height.
 
     It is known up to two distances beyond the module's edge, and dark from there on.
     """
@@ -404,13 +467,13 @@ def light_map(grid: Grid, shot: Shot) -> LightMap:
     if not isinstance(layout, Array):
         raise InputError("layout", type(layout).__name__, "a finite array", "a cell's map is its field's")
     step = shot.scene.height_um / BINS_PER_HEIGHT
-    reach = np.inf if camera.glare else _reach_um(camera) + 4.0 * step
+    reach = np.inf if camera.glare or whole else _reach_um(camera) + 4.0 * step
     counts, dark = [], False
-    for whole in (wholes := [half + PAD * distance for half in (layout.half_x_um, layout.half_y_um)]):
-        dark = dark or whole <= reach
-        counts.append(int(np.ceil(min(whole, reach) / step)))
+    for end in (ends := [half + PAD * distance for half in (layout.half_x_um, layout.half_y_um)]):
+        dark = dark or end <= reach
+        counts.append(int(np.ceil(min(end, reach) / step)))
     x, y = ((np.arange(2 * count) + 0.5 - count) * step for count in counts)
-    inside = (np.clip(at, -whole, whole) for at, whole in zip((x, y), wholes, strict=True))  # the last by a half step
+    inside = (np.clip(at, -end, end) for at, end in zip((x, y), ends, strict=True))  # the last by a half step
     return LightMap(grid(*inside), (float(x[0]), float(y[0])), step, "dark" if dark else "mirror")
 
 
