@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,8 @@ from luxloop.model import Fit, Model
 from luxloop.model_file import find_model
 from tests.validation.workers import Workers
 from validation.dataset.manifest import FilmLayer, FilmSample, Sample
+from validation.diagnose.columns import FitSight
+from validation.effects.known import Known
 from validation.prediction import POSE_COLUMNS, Anchored, Curve, FarView, Pose, Predictor, View
 from validation.prediction import images as images_module
 from validation.prediction.differences import moved_models
@@ -247,6 +250,37 @@ def test_derivatives_by_a_mirror_are_those_of_one_walk(workers: Workers, model: 
     )
     slopes = [one.jacobian_per_mm2[path].ravel() for one in (first, second)]
     assert np.corrcoef(*slopes)[0, 1] > 0.95
+
+
+def test_derivatives_by_a_lens_are_of_all_the_light_that_an_anchor_knows(workers: Workers, model: Model) -> None:
+    """What Monte Carlo has over the twin is blurred, too: those of a fit, and the columns by which effects score."""
+    at, views, predictor = Anchored(model, 1 << 16, seed=3), [view(size=16), view(FOUR, size=16)], Predictor(workers)
+    path, shape = "effects.camera_psf.psf_um", {"profile": "gaussian"}
+    there = model.model_copy(
+        update={
+            "effects": (AppliedEffect(name="camera_psf", parameters={"psf_um": 20.0} | shape),),
+            "fit": model.fit | {path: Fit(free=True, lower=0.0, upper=50.0)},
+        }
+    )
+    found, by_twin = (predictor.images(there, views, (path,), one) for one in (at, replace(at, histories=0)))
+    moved = [(weight, predictor.images(one, views, (), at, noise=False)) for weight, one in moved_models(there, path)]
+    known = Known.ask(workers)
+    sight = FitSight(predictor, views, problem=SimpleNamespace(anchor=at, curves=()))  # type: ignore[arg-type]  # duck
+    (column,) = sight.signature(model, known.spec("camera_psf"), shape)
+    off, near, far = (
+        predictor.images(there.with_value(path, step), views, (), at, noise=False)
+        for step in (0.0, np.sqrt(column.step), np.sqrt(2.0 * column.step))
+    )
+    for number, one in enumerate(found):
+        assert one.noise_per_mm2 is not None
+        slope, twins = one.jacobian_per_mm2[path], by_twin[number].jacobian_per_mm2[path]
+        expected = sum(weight * images[number].irradiance_per_mm2 for weight, images in moved)
+        np.testing.assert_allclose(slope, expected, atol=1e-6 * np.abs(slope).max())
+        assert np.abs(slope - twins).max() > 0.01 * np.abs(slope).max()
+        assert moved[0][1][number].noise_per_mm2 is None
+        stencil = zip((-1.5, 2.0, -0.5), (off, near, far), strict=True)
+        by_square = sum(weight * images[number].irradiance_per_mm2 for weight, images in stencil) / column.step
+        np.testing.assert_allclose(column.parts[number], by_square, atol=1e-9 * np.abs(by_square).max())
 
 
 def test_images_of_one_sample_are_asked_for_together() -> None:
