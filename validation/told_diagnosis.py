@@ -143,7 +143,13 @@ def _effect(row: Document) -> tuple[str, ...]:
     return (
         row["name"] + (f" ({row['why_not']})" if row["why_not"] else ""),
         size_in_words(
-            name, size["value"], size["error"], size["unit"], row["shape"], row["fits_as_well"], row["at_end"]
+            name,
+            size["value"],
+            size["error"],
+            size["unit"],
+            row["shape"],
+            row["fits_as_well"],
+            row.get("at_end", False),
         ),
         f"{row['chi2_drop']:.0f}",
         share,

@@ -6,12 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from containers.bsdf import GaussianLobe
 from containers.ray_tracing.exits import Exits, chip_key, make_exits
 from containers.ray_tracing.kernel import WEIGHT_OF_EXIT
+from containers.ray_tracing.light_map import LightMap
 from containers.ray_tracing.monte_carlo import BLOCK
 from containers.ray_tracing.twin.columns import COLUMNS, film_column
+from containers.ray_tracing.twin.difference import Difference, Plate
 from containers.ray_tracing.twin.module import ModuleTwin
 from containers.ray_tracing.twin.prediction import EFFECTIVE, Anchor, Shot, Supply, jacobian, twin_images
 from containers.ray_tracing.twin.reweighting import reweighted
@@ -127,6 +130,40 @@ def test_a_plate_scatters_all_of_the_light_and_not_the_twins_alone(dim: tuple[Sc
     assert np.abs(missing).max() > 1e-3 * same.images_per_mm2.max()
     differ = clear.images_per_mm2 - same.images_per_mm2
     assert np.linalg.norm(differ) < 0.03 * np.linalg.norm(missing)
+
+
+def test_what_the_twin_misses_stays_at_its_chip_where_the_receiver_is_further_away() -> None:
+    """Maps of other samples: in the same places, and smooth between them."""
+
+    def missing_at(step_um: float, count: int) -> NDArray[np.float64]:
+        at = (np.arange(count) + 0.5 - count / 2.0) * step_um
+        along = np.exp(-0.5 * ((at - 1000.0) / 80.0) ** 2)
+        return np.outer(np.exp(-0.5 * (at / 80.0) ** 2), along)
+
+    def image(light: LightMap) -> NDArray[np.float64]:
+        return light.irradiance_per_mm2
+
+    clear = Plate(0.0, 0.0, (1500.0, 1500.0))
+    known = Difference(missing_at(25.0, 120), np.ones((120, 120)), 25.0, clear)
+    light = LightMap(np.ones((100, 100)), (-1361.25, -1361.25), 27.5)
+    found = known.added_to(light, clear, image).irradiance_per_mm2 - 1.0
+    np.testing.assert_allclose(found, missing_at(27.5, 100), atol=0.01)
+    same = LightMap(np.ones((90, 90)), (-1112.5, -1112.5), 25.0)
+    found = known.added_to(same, clear, image).irradiance_per_mm2 - 1.0
+    np.testing.assert_allclose(found, missing_at(25.0, 120)[15:-15, 15:-15], atol=1e-12)
+
+
+def test_a_plate_brings_what_is_missing_from_outside_of_the_view() -> None:
+    """Scattered over the whole module and then cut out; however coarse the samples, nothing is lost inside."""
+    whole = np.random.default_rng(1).standard_normal((120, 120))
+    hazy = Plate(0.3, 300.0, (1e9, 1e9))
+    light = LightMap(np.ones((40, 40)), (-487.5, -487.5), 25.0)
+    known = Difference(whole, np.ones((120, 120)), 25.0, Plate(0.0, 0.0, hazy.half_um))
+    found = known.added_to(light, hazy, lambda one: one.irradiance_per_mm2).irradiance_per_mm2 - 1.0
+    np.testing.assert_allclose(found, (whole + hazy.more(whole, 25.0))[40:-40, 40:-40], atol=1e-12)
+    for step_um in (10.0, 100.0, 200.0):
+        even = Plate(0.5, 50.0, (1e9, 1e9)).more(np.ones((200, 200)), step_um)
+        assert np.abs(even[90:110, 90:110]).max() < 1e-9
 
 
 def test_the_noise_of_a_run_is_told_alike_whichever_camera_comes_first(dim: tuple[Scene, Exits]) -> None:

@@ -283,6 +283,17 @@ def test_derivatives_by_a_lens_are_of_all_the_light_that_an_anchor_knows(workers
         np.testing.assert_allclose(column.parts[number], by_square, atol=1e-9 * np.abs(by_square).max())
 
 
+def test_a_derivative_that_the_worker_has_is_taken_once(workers: Workers, model: Model) -> None:
+    """Absorption that an effect adds has the column of the model's own, about Monte Carlo too, and no other."""
+    path = "effects.chip_absorption.absorption_per_cm"
+    more = AppliedEffect(name="chip_absorption", parameters={"absorption_per_cm": 20.0})
+    limits = {path: Fit(free=True, lower=0.0, upper=500.0)}
+    there = model.model_copy(update={"effects": (more,), "fit": model.fit | limits})
+    (found,) = Predictor(workers).images(there, [view()], (path, LOSS), Anchored(there, 1 << 16))
+    slope, own = (found.jacobian_per_mm2[one] for one in (path, LOSS))
+    np.testing.assert_allclose(slope, own, atol=1e-6 * np.abs(own).max())
+
+
 def test_images_of_one_sample_are_asked_for_together() -> None:
     """Twice four samples at 128 x 128: five images are a request's; parted, one run's noise would be told apart."""
     samples = [SINGLE.model_copy(update={"id": f"s{number}"}) for number in range(4)]

@@ -157,13 +157,24 @@ class Evaluation:
         return np.concatenate(blocks, axis=1)
 
     def others(self) -> list[Predicted]:
-        """The derivatives by the model's parameters once more, by the exits of another walk inside the chips."""
+        """The derivatives by the model's parameters once more, by the exits of another walk inside the chips.
+
+        Those of all light are the same: their noise is the anchor's, and no walk's.
+        """
         anchor, paths = self.problem.anchor, self.problem.unknowns.model_paths
         if anchor is None or not paths:
             return self.predicted
         views = self.problem.views(self.model, self.by_name)
         asked = replace(anchor, histories=0, exit_seed=anchor.exit_seed + 1)
-        return self.problem.predictor.images(self.model, views, paths, asked)
+        found = self.problem.predictor.images(self.model, views, paths, asked)
+        return [
+            replace(
+                other,
+                jacobian_per_mm2=other.jacobian_per_mm2
+                | {path: one.jacobian_per_mm2[path] for path in one.of_all_light},
+            )
+            for one, other in zip(self.predicted, found, strict=True)
+        ]
 
     def other_columns(self, white: Whitening, others: Sequence[Predicted]) -> Real:
         """The columns once more, with noise of their own that is independent: gains by the anchored image."""

@@ -198,7 +198,7 @@ def conclude(
         at_limit=at_limit,
         driven=driven,
         distrust=(
-            *_reasons(evaluation.problem, reduced, active, driven, gap, converged, freedom),
+            *_reasons(evaluation.problem, reduced, known, driven, gap, converged, freedom),
             *_of_noise(evaluation.problem, white, share),
             *_of_light(evaluation.problem, values, covariance),
         ),
@@ -253,7 +253,7 @@ def _of_light(problem: Problem, values: Real, covariance: Real) -> list[str]:
 def _reasons(
     problem: Problem,
     reduced: Reduced,
-    active: Mask,
+    known: Mask,
     driven: tuple[str, ...],
     gap: float,
     converged: bool,
@@ -261,9 +261,9 @@ def _reasons(
 ) -> list[str]:
     """Why a fit may not be trusted, one sentence each."""
     reasons = []
-    known = {parameter.name: parameter for parameter in problem.unknowns.parameters}
+    named = {parameter.name: parameter for parameter in problem.unknowns.parameters}
     for name in driven:
-        low, high = known[name].lower, known[name].upper
+        low, high = named[name].lower, named[name].upper
         reasons.append(f"{name}{AT_LIMIT} ({low:g} to {high:g}); widen the limits or add what is missing")
     if not converged:
         why = f"{gap:.3g} of chi2 is still to be gained" if gap >= LEAST_GAP else NO_STEP
@@ -271,7 +271,7 @@ def _reasons(
     for name, blind in zip(problem.unknowns.names, reduced.blind, strict=True):
         if blind:
             reasons.append(f"nothing measured depends on {name}; fix it or give it a prior")
-    if (condition := reduced.condition(active)) > WORST_CONDITION:
+    if (condition := reduced.condition(known)) > WORST_CONDITION:
         reasons.append(f"two parameters are the same to these data (condition {condition:.1e}); fix one of them")
     if freedom < ROUNDING:
         reasons.append("there are no more measured values than parameters; measure more or free less")

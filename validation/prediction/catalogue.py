@@ -29,7 +29,7 @@ class Catalogue:
         return frozenset(one.name for one in model.effects if not self._specs.get(one.name, {}).get("twin", True))
 
     def after_module(self, model: Model) -> frozenset[str]:
-        """Names of a model's effects that act on light after it has left the module: in the plate, camera, sensor."""
+        """Names of a model's effects on light that has left the chips (plate, camera, sensor), and absorption."""
         stages = ("volume", "detector")
         return frozenset(one.name for one in model.effects if self._specs.get(one.name, {}).get("stage") in stages)
 

@@ -109,7 +109,11 @@ class Wanted:
         """By differences of models that are moved about the anchor: of effects after the module."""
         at = self.anchor
         names = self.after_module - self.beyond_twin if at is not None and at.histories else frozenset[str]()
-        return tuple(path for path in self.paths if path.startswith("effects.") and path.split(".")[1] in names)
+        return tuple(
+            path
+            for path in self.paths
+            if path not in COLUMNS and path.startswith("effects.") and path.split(".")[1] in names
+        )
 
     @property
     def differences(self) -> tuple[str, ...]:
@@ -147,6 +151,7 @@ def predict(wanted: Wanted, views: Sequence[View], ask: Ask) -> list[Predicted]:
             for n, image in zip(group, next(answers).arrays["images_per_mm2"], strict=True):
                 columns = found[n].jacobian_per_mm2
                 columns[path] = columns.get(path, 0.0) + weight * _real(image)
+    found = {number: replace(one, of_all_light=frozenset(wanted.of_all_light)) for number, one in found.items()}
     for sample in {view.sample.id for view in views}:
         parts = [[n for n in group if views[n].sample.id == sample] for group in groups]
         found |= _told_apart(found, [part for part in parts if part])

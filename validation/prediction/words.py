@@ -107,6 +107,8 @@ class Predicted:
     """(row, column), by which the signal grows with the gain, where a sensor bends it: else as the image has it."""
     by_offset: Real | None = None
     """(row, column), by which the signal grows with the offset, where a sensor bends it: else 1."""
+    of_all_light: frozenset[str] = frozenset()
+    """Paths whose derivatives are of what an anchor has over the twin, too."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,6 +6,7 @@ stretches or darkens is all of it.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -45,11 +46,13 @@ class Plate:
         return np.asarray(self.share * (along_y @ values @ along_x.T - values))
 
     def _weights(self, count: int, half_um: float, step_um: float) -> Real:
-        """(place, sample) of a Gaussian over what lies inside."""
+        """(place, sample): of a Gaussian, what falls to the part of each sample's step that lies inside."""
+        steps = (np.arange(2 * count) - count + 0.5) * (step_um / (np.sqrt(2.0) * self.sd_um))
+        of_steps = np.diff([0.5 * math.erf(one) for one in steps])
         at = (np.arange(count) + 0.5 - count / 2.0) * step_um
         inside = np.clip((half_um - np.abs(at)) / step_um + 0.5, 0.0, 1.0)
-        weight = np.exp(-0.5 * ((at[:, None] - at) / self.sd_um) ** 2)
-        return np.asarray(weight * inside * (step_um / (self.sd_um * np.sqrt(2.0 * np.pi))))
+        number = np.arange(count)
+        return np.asarray(of_steps[number - number[:, None] + count - 1] * inside)
 
 
 @dataclass(frozen=True)
@@ -58,24 +61,30 @@ class Difference:
 
     missing: Real
     twin: Real
+    step_um: float
+    """Of both maps, about the module's centre."""
     plate: Plate
     """Of the anchor's receiver."""
 
     def added_to(self, light: LightMap, plate: Plate, image: Callable[[LightMap], Real]) -> LightMap:
         """The twin's map of the same module at other parameters, with what it misses: the same share of the light.
 
-        Samples lie at as many shares of the module's height as the anchor's, so what is missing grows with that.
+        It stays where it is about the module's centre: chips do, where the receiver is further away.
 
         Parameters
         ----------
         plate : of the receiver there. image : what the camera there sees of a map, whose sums are compared.
         """
-        here = light.irradiance_per_mm2
-        missing, there = (_middle_of(one, here.shape) for one in (self.missing, self.twin))
+        here, missing = light.irradiance_per_mm2, self.missing
+        if plate != self.plate:
+            missing = missing + (plate.more(missing, self.step_um) - self.plate.more(missing, self.step_um))
+        along_y, along_x = (
+            _along(count, light.step_um, samples, self.step_um)
+            for count, samples in zip(here.shape, missing.shape, strict=True)
+        )
+        missing, there = (along_y @ one @ along_x.T for one in (missing, self.twin))
         before = image(replace(light, irradiance_per_mm2=there)).sum()
         share = image(light).sum() / before if before > 0.0 else 1.0
-        if plate != self.plate:
-            missing = missing + (plate.more(missing, light.step_um) - self.plate.more(missing, light.step_um))
         return replace(light, irradiance_per_mm2=here + share * missing)
 
     @property
@@ -84,11 +93,20 @@ class Difference:
         return int(self.missing.nbytes + self.twin.nbytes)
 
 
-def _middle_of(values: Real, shape: tuple[int, ...]) -> Real:
-    """The middle of a map (y, x) that has an even number of samples along each axis; nothing lies beyond it."""
-    before = [(wanted - have) // 2 for wanted, have in zip(shape, values.shape, strict=True)]
-    values = np.pad(values, [(max(0, some), max(0, some)) for some in before])
-    (rows, columns) = (
-        slice(max(0, -some), max(0, -some) + wanted) for some, wanted in zip(before, shape, strict=True)
-    )
-    return values[rows, columns]
+def _along(count: int, step_um: float, samples: int, sample_um: float) -> Real:
+    """Matrix (place, sample) from samples about a centre to places about the same; nothing lies beyond the samples.
+
+    Cubic convolution (Keys, IEEE Trans. Acoust. Speech Signal Process. 29, 1153, 1981); at a sample its own value.
+    """
+    at = (np.arange(count) + 0.5 - count / 2.0) * (step_um / sample_um) + samples / 2.0 - 0.5
+    low = np.floor(at + 1e-9).astype(int)
+    u = at - low
+    weights = (
+        ((2.0 - u) * u - 1.0) * u / 2.0, ((3.0 * u - 5.0) * u * u + 2.0) / 2.0,
+        ((4.0 - 3.0 * u) * u + 1.0) * u / 2.0, (u - 1.0) * u * u / 2.0,
+    )  # fmt: skip
+    matrix = np.zeros((count, samples))
+    for beside, weight in enumerate(weights, -1):
+        inside = (low + beside >= 0) & (low + beside < samples)
+        matrix[np.flatnonzero(inside), low[inside] + beside] += weight[inside]
+    return matrix

@@ -174,7 +174,7 @@ class Prediction:
     functions where no Monte Carlo was run."""
 
     of_camera_per_mm2: Real
-    """(camera column, shot, row, column): how the images change with the camera."""
+    """(camera column, shot, row, column): how the twin's images change with the camera, without the run's noise."""
     twin_per_mm2: Real
     """(shot, row, column): the twin's alone, without the anchor's Monte Carlo and its noise."""
 
@@ -238,7 +238,7 @@ class Anchor:
             maps = twin_maps(shots, supply, report=report, **options)
             twin = np.stack([shot.image(light) for shot, light in zip(shots, maps, strict=True)])
         self._differences = [
-            Difference(of - light.irradiance_per_mm2, light.irradiance_per_mm2, Plate.of(shot.scene))
+            Difference(of - light.irradiance_per_mm2, light.irradiance_per_mm2, light.step_um, Plate.of(shot.scene))
             for of, light, shot in zip(truth, maps, shots, strict=True)
         ]
         self._light = twin.sum(axis=(1, 2))
@@ -344,8 +344,7 @@ def _views(
         shot = shots[number]
         images[number] = twin[number] = shot.image(light)
         if differences is not None:
-            light = differences[number].added_to(light, Plate.of(shot.scene), shot.image)
-            images[number] = shot.image(light)
+            images[number] = shot.image(differences[number].added_to(light, Plate.of(shot.scene), shot.image))
         for derivative, column in zip(of_camera, cameras, strict=True):
             up, down = (shot.image(light, column.move(shot.camera, s * column.step)) for s in (1.0, -1.0))
             derivative[number] = (up - down) / (2.0 * column.step)
