@@ -18,13 +18,10 @@ from validation.effects.signatures import Column, Projection, Sight, signature
 from validation.fit import Fit
 from validation.fit.problem import Problem, sensor_of, view_of
 from validation.prediction import Anchored, Predictor
+from validation.prediction.catalogue import AFTER_MODULE
 from validation.prediction.differences import Moved
 
 Real = NDArray[np.float64]
-
-
-AFTER_MODULE = frozenset(["volume", "detector"])
-"""Stages of effects that act on what the twin misses as on its own light: plate, camera, sensor; and absorption."""
 
 
 @dataclass(eq=False)

@@ -12,6 +12,9 @@ if TYPE_CHECKING:
     from luxloop.model import Model
     from validation.prediction.words import Asks
 
+AFTER_MODULE = frozenset(["volume", "detector"])
+"""Stages of effects that act on what the twin misses as on its own light: plate, camera, sensor; and absorption."""
+
 
 class Catalogue:
     """The catalogue of one session."""
@@ -30,8 +33,8 @@ class Catalogue:
 
     def after_module(self, model: Model) -> frozenset[str]:
         """Names of a model's effects on light that has left the chips (plate, camera, sensor), and absorption."""
-        stages = ("volume", "detector")
-        return frozenset(one.name for one in model.effects if self._specs.get(one.name, {}).get("stage") in stages)
+        stages = {one.name: self._specs.get(one.name, {}).get("stage") for one in model.effects}
+        return frozenset(name for name, stage in stages.items() if stage in AFTER_MODULE)
 
     def of_films(self, model: Model) -> tuple[AppliedEffect, ...]:
         """A model's effects that decide a film's table; one that nobody knows too, so that a worker refuses it."""
