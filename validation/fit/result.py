@@ -170,7 +170,7 @@ def conclude(
     scale = variance_scale(chi2, freedom)
     names = evaluation.problem.unknowns.names
     at_limit = tuple(name for name, held in zip(names, last.at_limit, strict=True) if held)
-    driven = tuple(name for n, name in enumerate(names) if name in at_limit and reduced.beyond(n) > BEYOND * scale)
+    driven = tuple(name for n, name in enumerate(names) if name in at_limit and reduced.beyond(n) > BEYOND)
     gap = max(0.0, reduced.chi2 - last.chi2)
     known = ~np.isin(names, driven) & ~reduced.blind
     covariance = (
