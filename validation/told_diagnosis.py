@@ -140,17 +140,10 @@ def _effect(row: Document) -> tuple[str, ...]:
     if (error := row["explained_share_error"]) is not None:
         digits = (error < 0.0095) + (error < 0.00095)  # whole percents would say that it is known exactly
         share = f"{100.0 * row['explained_share']:.{digits}f} +- {100.0 * error:.{digits}f} %"
+    ends = row.get("at_end", False)
     return (
         row["name"] + (f" ({row['why_not']})" if row["why_not"] else ""),
-        size_in_words(
-            name,
-            size["value"],
-            size["error"],
-            size["unit"],
-            row["shape"],
-            row["fits_as_well"],
-            row.get("at_end", False),
-        ),
+        size_in_words(name, size["value"], size["error"], size["unit"], row["shape"], row["fits_as_well"], ends),
         f"{row['chi2_drop']:.0f}",
         share,
         held,

@@ -56,13 +56,19 @@ def test_a_score_on_a_fit_is_what_the_fit_with_the_column_gains() -> None:
     assert left @ rows / (left @ left) == pytest.approx(within.value("c"), rel=1e-6)
 
 
-@pytest.mark.parametrize(("beyond", "drives"), [(1.0, False), (3.0, True)])
-def test_a_parameter_that_noise_may_have_put_at_its_limit_is_no_reason_for_doubt(beyond: float, drives: bool) -> None:
+@pytest.mark.parametrize(("beyond", "drives", "left"), [(1.0, False, 0.0), (3.0, True, 0.0), (3.0, True, 30.0)])
+def test_a_parameter_that_noise_may_have_put_at_its_limit_is_no_reason_for_doubt(
+    beyond: float, drives: bool, left: float
+) -> None:
     """By chi2 beyond the limit, the others fitted anew: the square of what lies beyond it over its error there."""
     even, odd = np.ones(40), np.where(np.arange(40) % 2, 1.0, -0.2)
     shapes, both = {"a": {"t": even, "u": odd}}, np.stack([even, odd]) / SIGMA
     error = np.sqrt(np.linalg.inv(both @ both.T)[0, 0])
-    values = {"a": (2.0 + beyond * error) * even + 0.4 * odd}
+    rest = np.cos(np.pi * np.arange(40) / 2.0) * (
+        np.arange(40) % 4 % 2 == 0
+    )  # structure: none of these, and no noise
+    rest -= both.T @ np.linalg.solve(both @ both.T, both @ rest)
+    values = {"a": (2.0 + beyond * error) * even + 0.4 * odd + left * SIGMA * rest}
     free = fit_of_lines(shapes, values, [Parameter("t"), Parameter("u")])
     held = fit_of_lines(shapes, values, [Parameter("t", upper=2.0), Parameter("u")])
     assert held.chi2 - free.chi2 == pytest.approx(beyond**2, rel=1e-6)

@@ -13,12 +13,12 @@ from luxloop.effect import EffectSpec, Value
 from luxloop.errors import InputError, RemoteError
 from luxloop.model import Model
 from validation.diagnose.score import Candidate
-from validation.effects.known import acting, applied, off_values, shapes_of, with_effect
+from validation.effects.known import acting, applied, is_smooth, off_values, shapes_of, with_effect
 from validation.effects.signatures import Column, Projection, Sight, signature
 from validation.fit import Fit
 from validation.fit.problem import Problem, sensor_of, view_of
 from validation.prediction import Anchored, Predictor
-from validation.prediction.catalogue import AFTER_MODULE
+from validation.prediction.catalogue import ON_ALL_LIGHT
 from validation.prediction.differences import Moved
 
 Real = NDArray[np.float64]
@@ -62,7 +62,7 @@ class FitSight(Sight):
     def signature(self, model: Model, spec: EffectSpec, shape: Mapping[str, Value]) -> list[Column]:
         """The columns of an effect in a shape."""
         if spec.twin:
-            sight = self._of_all_light if spec.stage in AFTER_MODULE else self
+            sight = self._of_all_light if is_smooth(spec) and spec.stage in ON_ALL_LIGHT else self
             return signature(sight, self.at(model, spec), spec, shape)
         key = (spec.name, *shape.items())
         if key not in self.traced:

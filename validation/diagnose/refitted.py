@@ -48,6 +48,11 @@ class Refitted:
     """Of an effect that the twin cannot represent, fitted about its own value: the fit about the base's anchor."""
 
     @property
+    def at_end(self) -> bool:
+        """Whether a parameter of the effect is at its limit, where noise may have put it."""
+        return self.fit is not None and not self.driven and not set(self.paths).isdisjoint(self.fit.at_limit)
+
+    @property
     def beside_base(self) -> Fit | None:
         """The fit that has the base's noise of Monte Carlo: what can be held against the base, value by value."""
         return self.fit if self.line is None else self.line

@@ -220,7 +220,7 @@ def _explanation(
         held_out_percent=percents,
         log_evidence=_log_evidence(ground, found, drop, columns[score.name]),
         plausible=not found.driven and drop > 0.0 and not follows_field(by_place),
-        at_end=found.fit is not None and not found.driven and not set(found.paths).isdisjoint(found.fit.at_limit),
+        at_end=found.at_end,
         has_members=candidate.is_group,
         by_place=by_place,
         distrust=base.distrust if found.fit is None else found.fit.distrust,

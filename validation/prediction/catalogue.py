@@ -12,8 +12,8 @@ if TYPE_CHECKING:
     from luxloop.model import Model
     from validation.prediction.words import Asks
 
-AFTER_MODULE = frozenset(["volume", "detector"])
-"""Stages of effects that act on what the twin misses as on its own light: plate, camera, sensor; and absorption."""
+ON_ALL_LIGHT = frozenset(["volume", "detector"])
+"""Stages of effects that act on what the twin misses as on its own light: in chip and plate, in camera and sensor."""
 
 
 class Catalogue:
@@ -31,10 +31,11 @@ class Catalogue:
         """Names of a model's effects that the twin cannot represent."""
         return frozenset(one.name for one in model.effects if not self._specs.get(one.name, {}).get("twin", True))
 
-    def after_module(self, model: Model) -> frozenset[str]:
-        """Names of a model's effects on light that has left the chips (plate, camera, sensor), and absorption."""
-        stages = {one.name: self._specs.get(one.name, {}).get("stage") for one in model.effects}
-        return frozenset(name for name, stage in stages.items() if stage in AFTER_MODULE)
+    def on_all_light(self, model: Model) -> frozenset[str]:
+        """Names of a model's effects on what the twin misses, too; none that sends light other ways."""
+        specs = {one.name: self._specs.get(one.name, {}) for one in model.effects}
+        smooth = {name: one for name, one in specs.items() if one.get("twin", True) and not one.get("walks", False)}
+        return frozenset(name for name, one in smooth.items() if one.get("stage") in ON_ALL_LIGHT)
 
     def of_films(self, model: Model) -> tuple[AppliedEffect, ...]:
         """A model's effects that decide a film's table; one that nobody knows too, so that a worker refuses it."""

@@ -78,8 +78,8 @@ class Wanted:
     film_of: FilmOf
     beyond_twin: frozenset[str] = frozenset()
     """Names of effects that the twin cannot represent."""
-    after_module: frozenset[str] = frozenset()
-    """Names of effects that act on light which has left the module: on what an anchor has over the twin, too."""
+    on_all_light: frozenset[str] = frozenset()
+    """Names of effects that act on what an anchor has over the twin as on the twin's light."""
     noise: bool = True
     """Of the anchor's Monte Carlo, with the images."""
 
@@ -106,14 +106,11 @@ class Wanted:
 
     @property
     def of_all_light(self) -> tuple[str, ...]:
-        """By differences of models that are moved about the anchor: of effects after the module."""
-        at = self.anchor
-        names = self.after_module - self.beyond_twin if at is not None and at.histories else frozenset[str]()
-        return tuple(
-            path
-            for path in self.paths
-            if path not in COLUMNS and path.startswith("effects.") and path.split(".")[1] in names
-        )
+        """By differences of models that are moved about the anchor: of effects on all light."""
+        if self.anchor is None or not self.anchor.histories:
+            return ()
+        own = [path for path in self.paths if path not in COLUMNS and path.startswith("effects.")]
+        return tuple(path for path in own if path.split(".")[1] in self.on_all_light)
 
     @property
     def differences(self) -> tuple[str, ...]:

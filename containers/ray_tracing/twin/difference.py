@@ -7,7 +7,6 @@ stretches or darkens is all of it.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -66,26 +65,16 @@ class Difference:
     plate: Plate
     """Of the anchor's receiver."""
 
-    def added_to(self, light: LightMap, plate: Plate, image: Callable[[LightMap], Real]) -> LightMap:
-        """The twin's map of the same module at other parameters, with what it misses: the same share of the light.
+    def laid(self, light: LightMap, plate: Plate) -> tuple[Real, LightMap]:
+        """What is missing (y, x) behind a plate, and the anchor's twin, at the samples of another map of the module.
 
         It stays where it is about the module's centre: chips do, where the receiver is further away.
-
-        Parameters
-        ----------
-        plate : of the receiver there. image : what the camera there sees of a map, whose sums are compared.
         """
-        here, missing = light.irradiance_per_mm2, self.missing
+        missing, shape = self.missing, light.irradiance_per_mm2.shape
         if plate != self.plate:
             missing = missing + (plate.more(missing, self.step_um) - self.plate.more(missing, self.step_um))
-        along_y, along_x = (
-            _along(count, light.step_um, samples, self.step_um)
-            for count, samples in zip(here.shape, missing.shape, strict=True)
-        )
-        missing, there = (along_y @ one @ along_x.T for one in (missing, self.twin))
-        before = image(replace(light, irradiance_per_mm2=there)).sum()
-        share = image(light).sum() / before if before > 0.0 else 1.0
-        return replace(light, irradiance_per_mm2=here + share * missing)
+        missing, twin = (_resampled(one, self.step_um, shape, light.step_um) for one in (missing, self.twin))
+        return missing, replace(light, irradiance_per_mm2=twin)
 
     @property
     def nbytes(self) -> int:
@@ -93,20 +82,24 @@ class Difference:
         return int(self.missing.nbytes + self.twin.nbytes)
 
 
-def _along(count: int, step_um: float, samples: int, sample_um: float) -> Real:
-    """Matrix (place, sample) from samples about a centre to places about the same; nothing lies beyond the samples.
+def _resampled(values: Real, step_um: float, shape: tuple[int, ...], to_um: float) -> Real:
+    """A map (y, x) about a centre at the samples of another one about the same; beyond its own there is nothing.
 
     Cubic convolution (Keys, IEEE Trans. Acoust. Speech Signal Process. 29, 1153, 1981); at a sample its own value.
     """
-    at = (np.arange(count) + 0.5 - count / 2.0) * (step_um / sample_um) + samples / 2.0 - 0.5
-    low = np.floor(at + 1e-9).astype(int)
-    u = at - low
-    weights = (
-        ((2.0 - u) * u - 1.0) * u / 2.0, ((3.0 * u - 5.0) * u * u + 2.0) / 2.0,
-        ((4.0 - 3.0 * u) * u + 1.0) * u / 2.0, (u - 1.0) * u * u / 2.0,
-    )  # fmt: skip
-    matrix = np.zeros((count, samples))
-    for beside, weight in enumerate(weights, -1):
-        inside = (low + beside >= 0) & (low + beside < samples)
-        matrix[np.flatnonzero(inside), low[inside] + beside] += weight[inside]
-    return matrix
+    for axis, count in enumerate(shape):
+        have = values.shape[axis]
+        at = (np.arange(count) + 0.5 - count / 2.0) * (to_um / step_um) + have / 2.0 - 0.5
+        low = np.floor(at + 1e-9).astype(int)
+        u = at - low
+        weights = (
+            ((2.0 - u) * u - 1.0) * u / 2.0, ((3.0 * u - 5.0) * u * u + 2.0) / 2.0,
+            ((4.0 - 3.0 * u) * u + 1.0) * u / 2.0, (u - 1.0) * u * u / 2.0,
+        )  # fmt: skip
+        parts = []
+        for beside, weight in enumerate(weights, -1):
+            number = low + beside
+            there = np.where((number >= 0) & (number < have), weight, 0.0)
+            parts.append(np.take(values, np.clip(number, 0, have - 1), axis) * np.expand_dims(there, 1 - axis))
+        values = np.asarray(sum(parts))
+    return values

@@ -215,20 +215,9 @@ class Anchor:
         if len(shots) != len(fields) or len({field.groups for field in fields}) != 1:
             raise InputError("fields", len(fields), f"{len(shots)}, one for each shot, with equally many groups")
         even = [shot.evenly_lit() for shot in shots]
-        replicas = _replicas([field.grid for field in fields], even, report)
-        mean, groups = replicas.mean(axis=0), len(replicas)
-        threads = options.get("threads")
         maps = twin_maps(even, supply, report=report, **options)
-        twin = np.stack([shot.image(light) for shot, light in zip(even, maps, strict=True)])
-        monte_carlo = [light_map(_mean_of(field), shot, whole=True) for field, shot in zip(fields, even, strict=True)]
-        first, bases = bases_of(even, fields, twin, threads)  # light without the noise that is to be told
-        deviations = (replicas - mean) / np.sqrt(groups * (groups - 1.0))
-        told = [(deviations[:, i], bases[n], bases[i]) for n, i in enumerate(first)]
-        columns = in_parallel(lambda n: noise_columns(*told[n]), range(len(told)), threads)
-        self._noise = np.zeros((max(map(len, columns)), len(shots), *size), np.float32)
-        for number, one in enumerate(columns):
-            self._noise[: len(one), number] = one
-        truth = [light.irradiance_per_mm2 for light in monte_carlo]
+        self._noise = _noise_of(fields, even, _seen(even, maps), report, options.get("threads"))
+        truth = [_mean_map(field, shot) for field, shot in zip(fields, even, strict=True)]
         if any(one is not other for one, other in zip(even, shots, strict=True)):
             uneven = twin_maps(shots, more or supply, report=report, **options)
             truth = [
@@ -236,12 +225,11 @@ class Anchor:
                 for of, shining, evenly in zip(truth, uneven, maps, strict=True)
             ]
             maps = twin_maps(shots, supply, report=report, **options)
-            twin = np.stack([shot.image(light) for shot, light in zip(shots, maps, strict=True)])
         self._differences = [
             Difference(of - light.irradiance_per_mm2, light.irradiance_per_mm2, light.step_um, Plate.of(shot.scene))
             for of, light, shot in zip(truth, maps, shots, strict=True)
         ]
-        self._light = twin.sum(axis=(1, 2))
+        self._light = _seen(shots, maps).sum(axis=(1, 2))
 
     def predict(
         self,
@@ -254,12 +242,8 @@ class Anchor:
         """The images of the same shots at other parameters, by the exits of the anchor's chips where they can be."""
         near = self.near(shots)
         images, of_camera, twin = _views(near, supply, cameras, self._differences, report=report, **self._options)
-        share = self._share_of(twin.sum(axis=(1, 2)))[:, None, None]
+        share = _share_of(twin.sum(axis=(1, 2)), self._light)[:, None, None]
         return Prediction(images, share * self._noise, of_camera, twin)
-
-    def _share_of(self, light: Real) -> Real:
-        """(shot,): the light of images in that of the anchor's, 1 where it had none."""
-        return np.divide(light, self._light, out=np.ones_like(light), where=self._light > 0.0)
 
     def near(self, shots: Sequence[Shot]) -> list[Shot]:
         """The shots with the exits of the anchor's chips, where these can stand for theirs."""
@@ -273,8 +257,37 @@ class Anchor:
         return int(self._noise.nbytes) + sum(one.nbytes for one in self._differences or ())
 
 
-def _mean_of(field: Field) -> Grid:
-    return lambda x, y: field.grid(x, y).mean(axis=0)
+def _share_of(light: Any, before: Any) -> Real:
+    """Light in that of an anchor's twin, 1 where that has none."""
+    light, before = np.asarray(light, float), np.asarray(before, float)
+    return np.asarray(np.divide(light, before, out=np.ones_like(light), where=before > 0.0))
+
+
+def _mean_map(field: Field, shot: Shot) -> Real:
+    """The mean over groups of the whole map (y, x), at the samples of a shot."""
+    mean = replace(field, coefficients=field.coefficients.mean(axis=0, keepdims=True))
+    return light_map(lambda x, y: mean.grid(x, y)[0], shot, whole=True).irradiance_per_mm2
+
+
+def _seen(shots: Sequence[Shot], maps: Sequence[LightMap]) -> Real:
+    """Images (shot, row, column) of maps."""
+    return np.stack([shot.image(light) for shot, light in zip(shots, maps, strict=True)])
+
+
+def _noise_of(
+    fields: Sequence[Field], shots: Sequence[Shot], light: Real, report: Report, threads: int | None
+) -> NDArray[np.float32]:
+    """(function, shot, row, column): of the mean of each field's groups; `light` (shot, row, column) without it."""
+    replicas = _replicas([field.grid for field in fields], shots, report)
+    mean, groups = replicas.mean(axis=0), len(replicas)
+    first, bases = bases_of(shots, fields, light, threads)
+    deviations = (replicas - mean) / np.sqrt(groups * (groups - 1.0))
+    told = [(deviations[:, i], bases[n], bases[i]) for n, i in enumerate(first)]
+    columns = in_parallel(lambda n: noise_columns(*told[n]), range(len(told)), threads)
+    noise = np.zeros((max(map(len, columns)), *light.shape), np.float32)
+    for number, one in enumerate(columns):
+        noise[: len(one), number] = one
+    return noise
 
 
 def bases_of(
@@ -344,7 +357,9 @@ def _views(
         shot = shots[number]
         images[number] = twin[number] = shot.image(light)
         if differences is not None:
-            images[number] = shot.image(differences[number].added_to(light, Plate.of(shot.scene), shot.image))
+            missing, before = differences[number].laid(light, Plate.of(shot.scene))
+            share = _share_of(twin[number].sum(), shot.image(before).sum())
+            images[number] = shot.image(replace(light, irradiance_per_mm2=light.irradiance_per_mm2 + share * missing))
         for derivative, column in zip(of_camera, cameras, strict=True):
             up, down = (shot.image(light, column.move(shot.camera, s * column.step)) for s in (1.0, -1.0))
             derivative[number] = (up - down) / (2.0 * column.step)

@@ -9,8 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
-from scipy.special import logsumexp
-from scipy.stats import multivariate_normal
 
 from luxloop.audit import Compared, Place
 from luxloop.effect import AppliedEffect, EffectParameter
@@ -38,12 +36,10 @@ from validation.diagnose.columns import FitSight, candidates_of
 from validation.diagnose.diagnosis import beyond_limits
 from validation.diagnose.document import document, effect_document
 from validation.diagnose.ending import finished
-from validation.diagnose.evidence import group_log_evidence, log_evidence
 from validation.diagnose.explained import Share
 from validation.diagnose.explanation import LEVEL
 from validation.diagnose.frozen import slopes_of
 from validation.diagnose.groups import joined
-from validation.diagnose.held_out import same_rows
 from validation.diagnose.in_words import limits
 from validation.diagnose.ladder import Rung
 from validation.diagnose.refit import posed, refit
@@ -343,43 +339,6 @@ def test_an_effect_of_the_model_is_not_tried_again() -> None:
     found = diagnosis(data("stripes", 2, 0.05, 300.0), MODEL.model_copy(update={"effects": (there,)}))
     assert {one.name for one in found.steps[0].scores.effects} == {"ripple", "ripple_like", "fog"}
     assert found.verdict.word == "nothing_visible"
-
-
-def test_the_evidence_of_a_group_is_integrated_over_its_spread() -> None:
-    """Against a sum over spreads of what a normal with that covariance says of the products."""
-    random = np.random.default_rng(3)
-    columns = random.standard_normal((4, 30))
-    products, gram = columns @ (0.4 * columns.sum(axis=0) + random.standard_normal(30)), columns @ columns.T
-    for largest in (2.0, 200.0):  # of the wider range the likely spreads are a narrow part
-        spreads = largest * (np.arange(20_000) + 0.5) / 20_000.0
-        alone = multivariate_normal(np.zeros(4), gram).logpdf(products)
-        logs = [multivariate_normal(np.zeros(4), gram + s**2 * gram @ gram).logpdf(products) - alone for s in spreads]
-        assert group_log_evidence(products, gram, largest) == pytest.approx(
-            float(logsumexp(logs) - np.log(len(logs))), abs=0.01
-        )
-
-
-def test_the_evidence_of_two_numbers_counts_what_they_have_in_common() -> None:
-    """Laplace's approximation is exact for a normal likelihood: against a sum over a grid of both numbers."""
-    covariance = np.array([[0.02, 0.018], [0.018, 0.02]])
-    best = np.array([0.3, -0.2])
-    drop = float(best @ np.linalg.solve(covariance, best))
-    grid = np.linspace(-1.5, 1.5, 601)
-    at = np.stack(np.meshgrid(grid, grid, indexing="ij"), axis=-1).reshape(-1, 2)
-    off = np.sum((at - best) @ np.linalg.inv(covariance) * (at - best), axis=1)
-    expected = float(logsumexp(0.5 * (drop - off)) - np.log(len(at)))
-    assert log_evidence(drop, covariance, [(-1.5, 1.5)] * 2) == pytest.approx(expected, abs=0.01)
-
-
-def test_other_pixels_are_not_compared() -> None:
-    """A refit that may use other pixels has no held-out error beside the base's: rows would not mean the same."""
-    base = diagnosis(data(None, 1)).steps[0].ground.fit
-    first, *others = base.problem.images
-    used = first.used.copy()
-    used[0, 0] = not used[0, 0]
-    moved = replace(base, problem=replace(base.problem, images=(replace(first, used=used), *others)))
-    assert same_rows(base, base)
-    assert not same_rows(base, moved)
 
 
 def test_a_document_has_no_infinities() -> None:

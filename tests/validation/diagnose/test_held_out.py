@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from tests.validation.analytic import ARRAY, HALO, MODEL, PATHS, SINGLE, TRUTH, Spots, blank, measured
-from tests.validation.diagnose.made_up import THIRD, images_of
+from tests.validation.diagnose.made_up import THIRD, data, diagnosis, images_of
 from tests.validation.lines import SIGMA, fit_of_lines, noisy
 from validation.diagnose.held_out import (
     BLOCK_PX,
@@ -20,6 +20,7 @@ from validation.diagnose.held_out import (
     folds_by_sample,
     folds_of,
     held_out,
+    same_rows,
 )
 from validation.fit import CurveData, Parameter, fit
 from validation.measured import MeasuredImage
@@ -182,3 +183,14 @@ def test_a_short_curve_is_halved() -> None:
 def second(image: MeasuredImage) -> MeasuredImage:
     """Another shot of the same."""
     return replace(image, shot=image.shot.model_copy(update={"id": "again"}))
+
+
+def test_other_pixels_are_not_compared() -> None:
+    """A refit that may use other pixels has no held-out error beside the base's: rows would not mean the same."""
+    base = diagnosis(data(None, 1)).steps[0].ground.fit
+    first, *others = base.problem.images
+    used = first.used.copy()
+    used[0, 0] = not used[0, 0]
+    moved = replace(base, problem=replace(base.problem, images=(replace(first, used=used), *others)))
+    assert same_rows(base, base)
+    assert not same_rows(base, moved)

@@ -1,0 +1,36 @@
+"""Bayes factors of one more effect: Laplace's approximation and the integral over a group's spread, by sums."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.special import logsumexp
+from scipy.stats import multivariate_normal
+
+from validation.diagnose.evidence import group_log_evidence, log_evidence
+
+
+def test_the_evidence_of_a_group_is_integrated_over_its_spread() -> None:
+    """Against a sum over spreads of what a normal with that covariance says of the products."""
+    random = np.random.default_rng(3)
+    columns = random.standard_normal((4, 30))
+    products, gram = columns @ (0.4 * columns.sum(axis=0) + random.standard_normal(30)), columns @ columns.T
+    for largest in (2.0, 200.0):  # of the wider range the likely spreads are a narrow part
+        spreads = largest * (np.arange(20_000) + 0.5) / 20_000.0
+        alone = multivariate_normal(np.zeros(4), gram).logpdf(products)
+        logs = [multivariate_normal(np.zeros(4), gram + s**2 * gram @ gram).logpdf(products) - alone for s in spreads]
+        assert group_log_evidence(products, gram, largest) == pytest.approx(
+            float(logsumexp(logs) - np.log(len(logs))), abs=0.01
+        )
+
+
+def test_the_evidence_of_two_numbers_counts_what_they_have_in_common() -> None:
+    """Laplace's approximation is exact for a normal likelihood: against a sum over a grid of both numbers."""
+    covariance = np.array([[0.02, 0.018], [0.018, 0.02]])
+    best = np.array([0.3, -0.2])
+    drop = float(best @ np.linalg.solve(covariance, best))
+    grid = np.linspace(-1.5, 1.5, 601)
+    at = np.stack(np.meshgrid(grid, grid, indexing="ij"), axis=-1).reshape(-1, 2)
+    off = np.sum((at - best) @ np.linalg.inv(covariance) * (at - best), axis=1)
+    expected = float(logsumexp(0.5 * (drop - off)) - np.log(len(at)))
+    assert log_evidence(drop, covariance, [(-1.5, 1.5)] * 2) == pytest.approx(expected, abs=0.01)

@@ -1,0 +1,116 @@
+"""Predictions of spectra and far fields against the workers that make them, and their derivatives."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from luxloop.effect import AppliedEffect
+from luxloop.errors import InputError
+from luxloop.model import Fit, Model
+from tests.validation.prediction.views import LOSS, SINGLE
+from tests.validation.workers import Workers
+from validation.dataset.manifest import FilmLayer, FilmSample
+from validation.prediction import Curve, FarView, Predictor
+from validation.prediction.spectra import film_value, stack_of, with_film_value
+
+FILM = FilmSample(
+    id="polymer.1",
+    incident="air",
+    exit="Si",
+    layers=(
+        FilmLayer(cauchy=(1.45, 0.005), thickness_nm=300.0, free={"a": (1.3, 1.6), "thickness_nm": (100.0, 500.0)}),
+        FilmLayer(material="SiO2", thickness_nm=1.5),
+    ),
+)
+
+
+def curve(quantity: Any = "R", film: FilmSample = FILM) -> Curve:
+    """Ragged rows: two polarisations at other wavelengths and angles."""
+    polarisation = ("s", "s", "p", "u") if quantity in ("R", "T") else ("",) * 4
+    return Curve(
+        film, quantity, np.array([500.0, 600.0, 500.0, 700.0]), np.array([60.0, 40.0, 60.0, 55.0]), polarisation
+    )
+
+
+def test_a_film_is_turned_round_for_the_workers() -> None:
+    """A manifest begins with the light, a stack with the bulk."""
+    stack = stack_of(FILM)
+    assert (stack.inside.material, stack.outside.n) == ("Si", 1.0)
+    assert [str(layer) for layer in stack.layers] == ["SiO2(1.5 nm)", "1.45+0.005/um2(300 nm)"]
+
+
+@pytest.mark.parametrize("quantity", ["R", "psi", "delta"])
+def test_rows_of_a_curve_are_the_instruments_readings(workers: Workers, model: Model, quantity: str) -> None:
+    """Each at its own wavelength, angle and polarisation; one question for each polarisation."""
+    from containers.thin_film.film_measurement import measure
+
+    asked = curve(quantity)
+    (found,) = Predictor(workers).spectra(model, [asked])
+    rows = zip(asked.wavelength_nm, asked.aoi_deg, asked.polarisation, strict=True)
+    expected = [measure(stack_of(FILM), quantity, wave, aoi, one or "u")[0, 0] for wave, aoi, one in rows]
+    np.testing.assert_allclose(found.value, expected, rtol=1e-12)
+    assert len(workers.of_kind("film")) == (3 if quantity == "R" else 1)
+
+
+def test_derivatives_of_curves_are_those_of_moved_films(workers: Workers, model: Model) -> None:
+    """By a thickness and a Cauchy coefficient of the film; a delta that passes 360 degrees has none of that jump."""
+    predictor = Predictor(workers)
+    steps = {
+        f"films.{FILM.id}.layers.0.{name}": h for name, h in (("thickness_nm", 0.02), ("a", 1e-4), ("b_um2", 1e-5))
+    }
+    other = replace(curve(), film=FILM.model_copy(update={"id": "other"}))
+    for quantity in ("R", "delta"):
+        found, elsewhere = predictor.spectra(model, [curve(quantity), other], tuple(steps))
+        for path, h in steps.items():
+            value = film_value(FILM, path)
+            ends = [with_film_value(FILM, path, value + s * h) for s in (1, -1)]
+            high, low = predictor.spectra(model, [curve(quantity, film) for film in ends])
+            difference = (high.value - low.value) / (2.0 * h)
+            np.testing.assert_allclose(found.jacobian[path], difference, rtol=2e-2, atol=2e-3 * abs(difference).max())
+            assert not elsewhere.jacobian[path].any()
+
+
+def test_derivatives_of_curves_by_an_effect_are_those_of_the_model_moved(workers: Workers, model: Model) -> None:
+    """A layer that was missing, thicker and thinner; curves of two angles are one question for each model."""
+    path, at = "effects.film_missing_layer.thickness_nm", {"thickness_nm": 1.5, "material": "SiO2", "face": "inner"}
+    limits = {path: Fit(free=True, lower=0.0, upper=10.0)}
+    with_layer = model.model_copy(
+        update={"effects": (AppliedEffect(name="film_missing_layer", parameters=at),), "fit": model.fit | limits}
+    )
+    predictor, wave = Predictor(workers), np.array([450.0, 550.0])
+    curves = [
+        replace(curve("psi"), wavelength_nm=wave, aoi_deg=wave * 0.0 + aoi, polarisation=("", "")) for aoi in (60, 70)
+    ]
+    before = len(workers.of_kind("film"))
+    found = predictor.spectra(with_layer, curves, (path,))
+    assert len(workers.of_kind("film")) - before == 3
+    high, low = (predictor.spectra(with_layer.with_value(path, 1.5 + by), curves) for by in (0.02, -0.02))
+    for one, above, below in zip(found, high, low, strict=True):
+        np.testing.assert_allclose(one.jacobian[path], (above.value - below.value) / 0.04, rtol=1e-2)
+
+
+@pytest.mark.parametrize(
+    "path",
+    ["films.polymer.1.layers.2.thickness_nm", "films.polymer.1.layers.1.a", "films.polymer.1.colour", "films.x.a"],
+)
+def test_a_path_that_no_film_has_is_refused(workers: Workers, model: Model, path: str) -> None:
+    """Another layer, a coefficient of a named material, nonsense, another film."""
+    with pytest.raises(InputError, match="path"):
+        Predictor(workers).spectra(model, [curve()], (path,))
+
+
+def test_a_far_field_is_the_modules(workers: Workers, model: Model) -> None:
+    """Its integral over the half space is the light on its first way to the receiver; errors and a derivative too."""
+    theta, phi = (axis.ravel() for axis in np.meshgrid(np.arange(0.5, 90.0), np.arange(5.0, 360.0, 10.0)))
+    predictor = Predictor(workers)
+    (found,) = predictor.far_fields(model, [FarView(SINGLE, theta, phi)], (LOSS,), histories=1 << 18)
+    weight = np.sin(np.radians(theta)) * np.radians(1.0) * np.radians(10.0)
+    stated = workers.run(workers.of_kind("ray")[-1]).result["far_field"]["module"]["flux_ratio"]["value"]
+    assert (found.value * weight).sum() == pytest.approx(stated, rel=0.02)
+    assert found.error is not None
+    assert 0.0 < found.error.mean() < 0.2 * found.value.mean()
+    assert (found.jacobian[LOSS] * weight).sum() < 0.0  # more loss, less light
