@@ -15,6 +15,7 @@ A bin is the mean of the field over its width w, so mode k is divided by sinc(k 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Literal, Self
 
 import numpy as np
@@ -362,6 +363,7 @@ def _centres(low: float, high: float, count: int) -> Real:
     return low + (np.arange(count) + 0.5) * (high - low) / count
 
 
+@lru_cache(256)
 def _left_out(modes: int, x_per_mode: float) -> float:
     """Sum of x K1(x) over the lattice of modes outside the disc; to 1e-4 of it, with many modes to 2 %."""
     reach = modes + 1 + int(np.ceil(12.0 / x_per_mode))

@@ -169,8 +169,14 @@ def take_exit(
     length = 1.0 / sqrt(ray[of.DX] * ray[of.DX] + ray[of.DY] * ray[of.DY] + ray[of.DZ] * ray[of.DZ])
     ray[of.DX], ray[of.DY], ray[of.DZ] = ray[of.DX] * length, ray[of.DY] * length, ray[of.DZ] * length
     _choose_chip(emission, u, ray)
-    ray[of.WEIGHT] = rays[number, WEIGHT_OF_EXIT] * (weights[number] if weights.size > 0 else 1.0)
+    ray[of.WEIGHT] = weight_of(rays, weights, number)
     return int(rays[number, WAVE_OF_EXIT])
+
+
+@inlined_kernel
+def weight_of(rays: NDArray[np.float32], weights: NDArray[np.float32], number: int) -> float:
+    """Of a stored exit."""
+    return float(rays[number, WEIGHT_OF_EXIT] * (weights[number] if weights.size > 0 else 1.0))
 
 
 @borrowing_kernel

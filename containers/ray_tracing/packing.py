@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,6 +43,9 @@ FACE_NODES = 1025
 """Of one region of u: a bare face is then interpolated to 1e-6, a stack of ten pairs to 1e-5."""
 OPAQUE_NODES = 257
 QUANTILES = 4097
+MOST_TABLED = 128
+"""Surfaces whose tables are kept: a face has 33 kB a wavelength."""
+INSIDE = "inside"
 
 
 @dataclass(frozen=True)
@@ -115,38 +120,14 @@ class _Packer:
         self._tables: list[Real] = []
         self._size = 0
 
-    def add(self, name: str, waves: tuple[Bsdf, ...], angles: list[Real], beyond: bool = False) -> None:
-        """A surface, by wavelength: one Bsdf and the angles of its nodes for each."""
-        parts = [parts_of(bsdf) for bsdf in waves]
-        if not parts[0]:
-            parts = [[Part(LAMBERT, _constant(0.0))]]
-        kinds = [part.kind for part in parts[0]]
-        if len(kinds) > MOST_PARTS or any([part.kind for part in wave] != kinds for wave in parts):
-            raise InputError(name, len(kinds), f"at most {MOST_PARTS} parts, the same for all wavelengths")
-        shares = np.stack(
-            [
-                np.cumsum([part.share(theta) for part in wave], axis=0).T
-                for wave, theta in zip(parts, angles, strict=True)
-            ]
-        )
-        if not np.all(np.isfinite(shares)) or shares.min() < -1e-12 or shares.max() > 1.0 + 1e-9:
-            raise InputError(name, float(shares.max()), "shares of power from 0 to 1", "it would create energy")
-        shares = np.minimum(shares, 1.0)
-        shares[..., -1][shares[..., -1] > 1.0 - 1e-13] = 1.0
-        if len(waves) > 1 and np.ptp(shares, axis=0).max() == 0.0:
-            shares = shares[:1]
-        nodes = angles[0].size // (2 if beyond else 1)
-        flat = bool(np.ptp(shares, axis=1).max() == 0.0)
-        stride = shares[0].size if shares.shape[0] > 1 else 0
-        at = self.keep(shares)
-        sigmas = self.keep(np.array([part.sigma_rad for part in parts[0]]))
-        tables = [part.table for part in parts[0] if part.table is not None]
-        if len(tables) > 1:
-            raise InputError(name, len(tables), "one table per surface", "tabulate the whole surface")
-        cells = self.keep(_cells(tables[0])) if tables else 0
-        specular = set(kinds) <= {MIRROR, REFRACTED}
-        row = [len(kinds), nodes, stride, at, int(beyond), int(flat), int(specular), sigmas, cells]
-        self._rows.append(row + kinds + [0] * (KIND + MOST_PARTS - len(row) - len(kinds)))
+    def add(self, name: str, waves: tuple[Bsdf, ...], index: tuple[float, ...] = (), side: str = "") -> None:
+        """A surface, by wavelength: one Bsdf each; of a chip's face the index each, and the side it is seen from."""
+        one = _tabled(name, tuple(map(_Same, waves)), index, side)
+        at, sigmas = self.keep(one.shares), self.keep(one.sigmas)
+        cells = self.keep(one.cells) if one.cells.size else 0
+        row = [len(one.kinds), one.nodes, one.stride, at, int(side == INSIDE), int(one.flat), int(one.specular)]
+        row += [sigmas, cells]
+        self._rows.append(row + [*one.kinds] + [0] * (KIND + MOST_PARTS - len(row) - len(one.kinds)))
 
     def surfaces(self) -> Surfaces:
         """All that was added."""
@@ -158,6 +139,79 @@ class _Packer:
         self._tables.append(np.ascontiguousarray(array, float).ravel())
         self._size += array.size
         return at
+
+
+class _Same:
+    """A surface that is the same as an equal one; as itself alone where it holds arrays, which have no hash."""
+
+    __slots__ = ("_hash", "bsdf")
+
+    def __init__(self, bsdf: Bsdf) -> None:
+        self.bsdf = bsdf
+        try:
+            self._hash: int | None = hash(bsdf)
+        except TypeError:
+            self._hash = None
+
+    def __hash__(self) -> int:
+        return id(self.bsdf) if self._hash is None else self._hash
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, _Same):
+            return NotImplemented
+        return self.bsdf is other.bsdf or (
+            self._hash is not None and self._hash == other._hash and self.bsdf == other.bsdf
+        )
+
+
+class _Tabled(NamedTuple):
+    """A surface as kernels read it."""
+
+    kinds: tuple[int, ...]
+    shares: Real
+    """(wavelength or 1, node, part), of the incident power, each with those before it."""
+    sigmas: Real
+    """(part,)"""
+    cells: Real
+    """Of a table; (0,): none."""
+    nodes: int
+    stride: int
+    flat: bool
+    specular: bool
+
+
+@lru_cache(MOST_TABLED)
+def _tabled(name: str, waves: tuple[_Same, ...], index: tuple[float, ...], side: str) -> _Tabled:
+    """A surface's tables; faces of chips are asked for again and again, by each scene that has them."""
+    parts = [parts_of(wave.bsdf) for wave in waves]
+    if not parts[0]:
+        parts = [[Part(LAMBERT, _constant(0.0))]] * len(waves)
+    kinds = tuple(part.kind for part in parts[0])
+    if len(kinds) > MOST_PARTS or any(tuple(part.kind for part in wave) != kinds for wave in parts):
+        raise InputError(name, len(kinds), f"at most {MOST_PARTS} parts, the same for all wavelengths")
+    angles = [node_angles(n, side == INSIDE) for n in index] or [np.arccos(np.linspace(0.0, 1.0, OPAQUE_NODES))]
+    shares = np.stack(
+        [np.cumsum([part.share(theta) for part in wave], axis=0).T for wave, theta in zip(parts, angles, strict=True)]
+    )
+    if not np.all(np.isfinite(shares)) or shares.min() < -1e-12 or shares.max() > 1.0 + 1e-9:
+        raise InputError(name, float(shares.max()), "shares of power from 0 to 1", "it would create energy")
+    shares = np.minimum(shares, 1.0)
+    shares[..., -1][shares[..., -1] > 1.0 - 1e-13] = 1.0
+    if len(waves) > 1 and np.ptp(shares, axis=0).max() == 0.0:
+        shares = shares[:1]
+    tables = [part.table for part in parts[0] if part.table is not None]
+    if len(tables) > 1:
+        raise InputError(name, len(tables), "one table per surface", "tabulate the whole surface")
+    return _Tabled(
+        kinds=kinds,
+        shares=shares,
+        sigmas=np.array([part.sigma_rad for part in parts[0]]),
+        cells=_cells(tables[0]) if tables else np.zeros(0),
+        nodes=angles[0].size // (2 if side == INSIDE else 1),
+        stride=shares[0].size if shares.shape[0] > 1 else 0,
+        flat=bool(np.ptp(shares, axis=1).max() == 0.0),
+        specular=set(kinds) <= {MIRROR, REFRACTED},
+    )
 
 
 def _cells(table: Tabulated) -> Real:
@@ -178,10 +232,10 @@ def _cells(table: Tabulated) -> Real:
 def scene_arrays(scene: Scene) -> SceneArrays:
     """The arrays of a scene. Raises InputError for a surface that kernels cannot draw from."""
     chip, packer = scene.chip, _Packer()
+    index = tuple(map(float, chip.index))
     for name, face in (("top", chip.top), ("sides", chip.sides)):
-        packer.add(f"chip.{name}.inside", face.inside, [node_angles(n, True) for n in chip.index], beyond=True)
-        packer.add(f"chip.{name}.outside", face.outside, [node_angles(n, False) for n in chip.index])
-    opaque = [np.arccos(np.linspace(0.0, 1.0, OPAQUE_NODES))]
+        packer.add(f"chip.{name}.inside", face.inside, index, INSIDE)
+        packer.add(f"chip.{name}.outside", face.outside, index, "outside")
     bottom = chip.mirror if chip.mirror is not None else scene.substrate
     wall = scene.layout.wall if isinstance(scene.layout, Array) and scene.layout.wall is not None else Mirror(0.0)
     for name, bsdf in (
@@ -190,7 +244,7 @@ def scene_arrays(scene: Scene) -> SceneArrays:
         ("receiver", scene.receiver.bsdf),
         ("wall", wall),
     ):
-        packer.add(name, (bsdf,), opaque)
+        packer.add(name, (bsdf,))
     response_at = packer.keep(scene.receiver.response)
     offsets_at = packer.keep(scene.layout.offset_um if isinstance(scene.layout, Array) else np.zeros(2))
     tables = (response_at, scene.receiver.response.size, offsets_at)

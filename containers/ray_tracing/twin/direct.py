@@ -33,21 +33,28 @@ from containers.ray_tracing.arrays import (
     WALLS,
     EmissionArrays,
     SceneArrays,
-    Sinks,
 )
 from containers.ray_tracing.exits import LANDING, Exits
 from containers.ray_tracing.kernel import scratch
 from containers.ray_tracing.monte_carlo import BLOCK
 from containers.ray_tracing.packing import scene_arrays
-from containers.ray_tracing.tally import OPTICAL_EVENTS, Box, Tally
-from containers.ray_tracing.twin.direct_kernel import IMAGES, BirthArrays, WayArrays, land_direct
-from containers.scene import Array, Receiver, Scene
+from containers.ray_tracing.tally import OPTICAL_EVENTS, Box, Tally, nowhere
+from containers.ray_tracing.twin.direct_kernel import (
+    IMAGES,
+    Arrivals,
+    BirthArrays,
+    WayArrays,
+    land_direct,
+)
+from containers.ray_tracing.twin.ways import Dark, Ways
+from containers.scene import LEAST_INDEX, Array, Chip, Emission, Face, Receiver, Scene
 from luxloop.errors import InputError
 from luxloop.process import usable_cores
 
 Real = NDArray[np.float64]
 Found = TypeVar("Found")
 
+UNKNOWN = Arrivals(np.zeros((0, 3)), np.zeros(0, np.int8))
 ARRIVES, SEEN_MORE = range(2)
 """Layers of the bins: light that arrives, and by how much more of it is recorded (`Receiver.response`)."""
 
@@ -57,6 +64,8 @@ class Way:
     """A scene for direct light, and where its bins lie."""
 
     arrays: WayArrays
+    dark: Dark | None
+    """The same scene with chips that take all that meets them; none where the receiver sends on what arrives."""
     box: Box
     images: int
     """Of an exit, where chips shine unevenly: what the chip and its neighbours have of the square's symmetries."""
@@ -126,10 +135,23 @@ def open_way(scene: Scene, box: Box) -> Way:
     )
     black = replace(scene, chip=chip, substrate=white, receiver=replace(scene.receiver, bsdf=Lambertian(0.0)))
     arrays = scene_arrays(black)
-    rest = arrays if followed == Lambertian(0.0) else scene_arrays(replace(black, receiver=Receiver(followed)))
+    rest, dark = arrays, None
+    if followed == Lambertian(0.0):
+        bare = replace(black, chip=_taking_all(chip), emission=Emission(), receiver=Receiver(followed))
+        dark = Dark(scene_arrays(bare))
+    else:
+        rest = scene_arrays(replace(black, receiver=Receiver(followed)))
     square = not isinstance(scene.layout, Array) or scene.layout.rows == scene.layout.columns
     images = 1 if box.folded else len(IMAGES) if square else len(IMAGES) // 2
-    return Way(WayArrays(arrays, rest, kept, box.numbers), box, images)
+    return Way(WayArrays(arrays, rest, kept, box.numbers), dark, box, images)
+
+
+def _taking_all(chip: Chip) -> Chip:
+    """A chip of the same size that takes all that meets it."""
+    index = np.full(chip.index.size, LEAST_INDEX)
+    black = Lambertian(0.0)
+    face = Face((black,) * index.size, (black,) * index.size)
+    return Chip(chip.width_um, chip.thickness_um, index, face, face, "mirror", black)
 
 
 def direct_light(
@@ -141,6 +163,7 @@ def direct_light(
     blocks: int | None = None,
     groups: int | None = None,
     threads: int | None = None,
+    known: Ways | None = None,
 ) -> Tally:
     """Where exits first reach the receiver, group by group; bins (group, layer, y, x).
 
@@ -149,10 +172,13 @@ def direct_light(
     way : `open_way` of the scene whose chips the exits are of; what lies beside a box that is no cell is dropped.
     emission : which chips shine. blocks : how many blocks of the exits, all by default.
     seed : of what happens on the way. groups : so many at the end, a divisor of the exits' own; all by default.
+    known : ways of exits that are remembered; they only save time.
 
     Notes
     -----
-    A bin holds the light around its centre, with weights that fall linearly to 0 one bin's width away.
+    A bin holds the light around its centre, with weights that fall linearly to 0 one bin's width away. Whatever
+    changes weights alone (a film, absorption, where light is born), or what becomes of light in chips, leaves the
+    ways of exits to the receiver as they are, but for those few that meet a chip.
     """
     own, blocks = exits.ends.shape[0], blocks or exits.ledger.shape[1]
     groups = groups or own
@@ -162,17 +188,20 @@ def direct_light(
 
     sets, births = _sets_of(exits)
     per_um = 0.0 if exits.births is None else 1.0 / exits.births.width_um
+    numbers = np.uint64(seed ^ LANDING)
 
     def land(together: int) -> None:
-        numbers, work, lost = np.uint64(seed ^ LANDING), scratch(), nowhere()
+        work, lost = scratch(), nowhere()
         for one, counts in zip(sets, births, strict=True):
             for group in range(together * own // groups, (together + 1) * own // groups):
                 mine = slice(one.ends[group, 0], one.ends[group, blocks])
                 weights = np.zeros(0, np.float32) if one.weights is None else one.weights[mine]
-                first = one.first_block * BLOCK
+                arrivals = UNKNOWN
+                if known is not None and way.dark is not None:
+                    arrivals = known.of(way.dark, emission, one, group, blocks, seed)
                 land_direct(
-                    way.arrays, emission, numbers, group, own, first, one.rays[mine], weights, one.notes[mine],
-                    BirthArrays(counts, per_um, way.images), lost, work, bins[together],
+                    way.arrays, emission, numbers, group, own, one.first_block * BLOCK, one.rays[mine], weights,
+                    one.notes[mine], BirthArrays(counts, per_um, way.images), arrivals, lost, work, bins[together],
                 )  # fmt: skip
 
     in_parallel(land, range(groups), threads)
@@ -199,9 +228,3 @@ def in_parallel(work: Callable[[int], Found], numbers: Sequence[int], threads: i
         return [work(number) for number in numbers]
     with ThreadPoolExecutor(threads) as pool:
         return list(pool.map(work, numbers))
-
-
-def nowhere() -> Sinks:
-    """Sinks that keep nothing but a ledger."""
-    empty = np.zeros((2, 0, 0))
-    return Sinks(empty, np.zeros(5), np.zeros(8), np.zeros(len(OPTICAL_EVENTS)), empty)

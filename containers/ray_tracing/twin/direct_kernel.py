@@ -14,6 +14,7 @@ from containers.ray_tracing.arrays import (
     BORN_Y,
     CHIP_X,
     CHIP_Y,
+    DBR_END,
     DISTANCE,
     DX,
     DY,
@@ -31,7 +32,7 @@ from containers.ray_tracing.arrays import (
     Z,
 )
 from containers.ray_tracing.chip import OUT, walk_chip
-from containers.ray_tracing.kernel import Scratch, leave_chip, take_exit
+from containers.ray_tracing.kernel import Scratch, leave_chip, take_exit, weight_of
 from containers.ray_tracing.module import INTO_CHIP, clear_way, walk_module
 from containers.ray_tracing.philox import RECEIVER as RECEIVER_KIND
 from containers.ray_tracing.philox import SUBSTRATE, Stream, follow_up, start
@@ -44,6 +45,8 @@ Single = NDArray[np.float32]
 IMAGES = tuple((x, y, swapped) for swapped in (False, True) for x in (1.0, -1.0) for y in (1.0, -1.0))
 """The symmetries of the square: signs of x and y, and whether they are exchanged; the first four are those of a
 rectangle, the first one that of anything."""
+MEETS_CHIP, LOST, MOST_BOUNCES = -1, -2, 127
+"""What else becomes of an exit than so many bounces and the receiver."""
 FAINTEST = 1e-6
 """Share of a ray's weight below which the reflections that are followed at the receiver end."""
 
@@ -72,6 +75,44 @@ class BirthArrays(NamedTuple):
     """Of `IMAGES`, so many that each exit stands for."""
 
 
+class Arrivals(NamedTuple):
+    """Where exits first come to the receiver, before they meet a chip; (0,) exits: nobody has looked."""
+
+    places: Real
+    """(exit, 3): x and y in um, cosine to the receiver."""
+    bounces: NDArray[np.int8]
+    """(exit,) at the substrate until then; or `MEETS_CHIP`, or `LOST`."""
+
+
+@borrowing_kernel
+def walk_ways(
+    dark: SceneArrays,
+    emission: EmissionArrays,
+    seed: np.uint64,
+    group: int,
+    groups: int,
+    first: int,
+    rays: Single,
+    weights: Single,
+    arrivals: Arrivals,
+    sinks: Sinks,
+    scratch: Scratch,
+) -> None:
+    """Follow exits, number `first` and on of a group, to the receiver or to chips, which take all that meets them."""
+    stream, ray, trace, _, _ = scratch
+    for number in range(rays.shape[0]):
+        start(stream, seed, np.uint64(first + number) * np.uint64(groups) + np.uint64(group))
+        wave = take_exit(emission, rays, weights, number, 0.0, ray)
+        ray[WEIGHT], sinks.ledger[DBR_END] = 1.0, 0.0
+        if _lands(dark, wave, ray, stream, sinks, trace):
+            bounces = stream[2 + SUBSTRATE]
+            arrivals.places[number, 0], arrivals.places[number, 1] = ray[X], ray[Y]
+            arrivals.places[number, 2] = ray[DZ]
+            arrivals.bounces[number] = bounces if bounces <= MOST_BOUNCES else MEETS_CHIP
+        else:
+            arrivals.bounces[number] = MEETS_CHIP if sinks.ledger[DBR_END] > 0.0 else LOST
+
+
 @borrowing_kernel
 def land_direct(
     way: WayArrays,
@@ -84,6 +125,7 @@ def land_direct(
     weights: Single,
     notes: Single,
     births: BirthArrays,
+    arrivals: Arrivals,
     sinks: Sinks,
     scratch: Scratch,
     bins: Real,
@@ -93,22 +135,36 @@ def land_direct(
     `weights`, `notes`: as `Exits` has them, none where they are empty; notes are read where births have weights.
     """
     stream, ray, trace, _, _ = scratch
-    scene = way.scene
+    scene, known = way.scene, arrivals.bounces.size > 0
     for number in range(rays.shape[0]):
+        if known and arrivals.bounces[number] >= 0:
+            ray[X], ray[Y], ray[DZ] = arrivals.places[number]
+            ray[WEIGHT] = weight_of(rays, weights, number)
+            _arrive(way, ray, arrivals.bounces[number], births, notes, number, bins)
+            continue
+        if known and arrivals.bounces[number] == LOST:
+            continue
         start(stream, seed, np.uint64(first + number) * np.uint64(groups) + np.uint64(group))
         wave = take_exit(emission, rays, weights, number, 0.0, ray)
-        path = clear_way(scene, ray)
-        ray[X] += ray[CHIP_X] + path * ray[DX]
-        ray[Y] += ray[CHIP_Y] + path * ray[DY]
         faintest = FAINTEST * ray[WEIGHT]
-        if path > 0.0:
-            ray[Z] = scene.numbers[DISTANCE]
-        landed = path > 0.0 or reaches_receiver(scene, wave, ray, stream, sinks, trace)
+        landed = _lands(scene, wave, ray, stream, sinks, trace)
         while landed:
-            _arrive(way, ray, stream, births, notes, number, bins)
+            _arrive(way, ray, stream[2 + SUBSTRATE], births, notes, number, bins)
             landed = _sent_on(way, wave, ray, stream, faintest) and reaches_receiver(
                 scene, wave, ray, stream, sinks, trace
             )
+
+
+@inlined_kernel
+def _lands(scene: SceneArrays, wave: int, ray: Real, stream: Stream, sinks: Sinks, trace: Real) -> bool:
+    """Follow an exit, as it was taken, to the (black) receiver; False where it ends elsewhere."""
+    path = clear_way(scene, ray)
+    ray[X] += ray[CHIP_X] + path * ray[DX]
+    ray[Y] += ray[CHIP_Y] + path * ray[DY]
+    if path > 0.0:
+        ray[Z] = scene.numbers[DISTANCE]
+        return True
+    return reaches_receiver(scene, wave, ray, stream, sinks, trace)
 
 
 @borrowing_kernel
@@ -125,14 +181,16 @@ def reaches_receiver(scene: SceneArrays, wave: int, ray: Real, stream: Stream, s
 
 @inlined_kernel
 def _arrive(
-    way: WayArrays, ray: Real, stream: Stream, births: BirthArrays, notes: Single, number: int, bins: Real
+    way: WayArrays, ray: Real, bounces: int, births: BirthArrays, notes: Single, number: int, bins: Real
 ) -> None:
     """Put a ray that is at the receiver into the bins, or its images, each with the weight of its birthplace."""
     scene, x, y = way.scene, ray[X], ray[Y]
     if scene.flags[PERIODIC]:
         x -= scene.numbers[SPACING] * floor(x / scene.numbers[SPACING] + 0.5)
         y -= scene.numbers[SPACING] * floor(y / scene.numbers[SPACING] + 0.5)
-    weight = ray[WEIGHT] * way.kept ** float(stream[2 + SUBSTRATE])
+    weight = ray[WEIGHT]
+    if bounces > 0:  # of most there is one: no power
+        weight *= way.kept if bounces == 1 else way.kept ** float(bounces)
     more = weight * (recorded_share(scene, ray[DZ]) - 1.0) if bins.shape[0] > 1 else 0.0
     rows, columns = births.weights.shape
     if rows == 0:

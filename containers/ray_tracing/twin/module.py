@@ -8,13 +8,10 @@ make a smooth map. Of powers and displacements everything is in it but that neig
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from hashlib import sha256
-from threading import Lock
 from typing import Any
-from weakref import ref
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +25,9 @@ from containers.ray_tracing.twin.cell import SEED, cloud_window
 from containers.ray_tracing.twin.closure import Leak
 from containers.ray_tracing.twin.direct import ARRIVES, Way, direct_light, open_way
 from containers.ray_tracing.twin.exchange import Complex, Exchange
+from containers.ray_tracing.twin.held import Held
 from containers.ray_tracing.twin.shadow import RAYS, correction
+from containers.ray_tracing.twin.ways import Ways
 from containers.scene import Array, Cell, Scene
 from luxloop.errors import InputError
 
@@ -84,7 +83,8 @@ class ModuleTwin:
         lit = emission_arrays(replace(scene, layout=Cell(self.layout.spacing_um)))
 
         def make() -> tuple[ChipMap, float]:
-            tally = direct_light(way, lit, exits, seed, blocks=blocks, groups=groups, threads=threads)
+            ways = None if known is None else known.ways
+            tally = direct_light(way, lit, exits, seed, blocks=blocks, groups=groups, threads=threads, known=ways)
             return one_chip(scene, tally), self._lost(way, lit, shadow_rays, seed, threads)
 
         key = digest_of(way, lit, id(exits), blocks, groups, shadow_rays, seed) if known is not None else ""
@@ -187,33 +187,15 @@ class ChipMap:
         return int(self.coefficients.nbytes)
 
 
-class Lights:
+class Lights(Held[tuple[ChipMap, float]]):
     """The light of chips, each reckoned once: modules whose chips only stand or shine otherwise share it.
 
-    It lasts as long as the exits it was made of, which others hold: they take more room than it does.
+    Where other light takes the same ways, these are walked once.
     """
 
     def __init__(self, most_bytes: int = HELD_BYTES) -> None:
-        self._lock, self._most_bytes = Lock(), most_bytes
-        self._held: OrderedDict[str, tuple[ref[Exits], tuple[ChipMap, float]]] = OrderedDict()
-
-    def __len__(self) -> int:
-        """How many are held."""
-        return len(self._held)
-
-    def of(self, key: str, exits: Exits, make: Callable[[], tuple[ChipMap, float]]) -> tuple[ChipMap, float]:
-        """What is held under a key of these exits, or made now; others may have got the id of some that are gone."""
-        with self._lock:
-            held = self._held.get(key)
-        found = held[1] if held is not None and held[0]() is exits else make()
-        with self._lock:
-            self._held[key] = ref(exits), found
-            self._held.move_to_end(key)
-            for gone in [one for one, (its, _) in self._held.items() if its() is None]:
-                del self._held[gone]
-            while len(self._held) > 1 and sum(one.nbytes for _, (one, _) in self._held.values()) > self._most_bytes:
-                self._held.popitem(last=False)
-        return found
+        super().__init__(most_bytes, lambda one: one[0].nbytes)
+        self.ways = Ways()
 
 
 def digest_of(way: Way, emission: EmissionArrays, *facts: object) -> str:

@@ -1,0 +1,65 @@
+"""The ways of stored exits to the receiver, walked once.
+
+A film, absorption in the chip, where its light is born: they change what exits weigh, and what becomes of the few
+that meet a chip on their way, 0 to 2 % of the light; all others land where they did.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from hashlib import sha256
+
+import numpy as np
+
+from containers.ray_tracing.arrays import EmissionArrays, SceneArrays
+from containers.ray_tracing.exits import LANDING, Exits
+from containers.ray_tracing.kernel import scratch
+from containers.ray_tracing.monte_carlo import BLOCK
+from containers.ray_tracing.tally import nowhere
+from containers.ray_tracing.twin.direct_kernel import Arrivals, walk_ways
+from containers.ray_tracing.twin.held import Held
+
+HELD_BYTES = 256 * 2**20
+"""Of ways that are remembered: 131,072 histories of a chip have 6 MB."""
+
+
+@dataclass(frozen=True)
+class Dark:
+    """A scene whose chips, and whose receiver, take all that meets them."""
+
+    scene: SceneArrays
+
+    @cached_property
+    def key(self) -> str:
+        """SHA-256 of all that decides what becomes of a ray."""
+        digest, scene = sha256(), self.scene
+        for part in (scene.numbers, scene.flags, scene.surfaces.layout, scene.surfaces.tables):
+            digest.update(repr(part.shape).encode() + part.tobytes())
+        return digest.hexdigest()
+
+
+class Ways:
+    """Where exits first come to the receiver, for as long as somebody holds them."""
+
+    def __init__(self, most_bytes: int = HELD_BYTES) -> None:
+        self._held = Held[Arrivals](most_bytes, lambda one: one.places.nbytes + one.bounces.nbytes)
+
+    def __len__(self) -> int:
+        """How many are remembered, each of a group of exits."""
+        return len(self._held)
+
+    def of(self, dark: Dark, emission: EmissionArrays, exits: Exits, group: int, blocks: int, seed: int) -> Arrivals:
+        """Those of the first blocks of a group, until they meet a chip."""
+        groups, rays = len(exits.ends), exits.rays[exits.ends[group, 0] : exits.ends[group, blocks]]
+
+        def walk() -> Arrivals:
+            found = Arrivals(np.zeros((len(rays), 3)), np.zeros(len(rays), np.int8))
+            walk_ways(
+                dark.scene, emission, np.uint64(seed ^ LANDING), group, groups, exits.first_block * BLOCK, rays,
+                np.zeros(0, np.float32), found, nowhere(), scratch(),
+            )  # fmt: skip
+            return found
+
+        facts = id(exits.rays), exits.first_block, groups, group, blocks, seed
+        return self._held.of(f"{dark.key} {facts}", exits.rays, walk)
