@@ -1,6 +1,6 @@
 """The deterministic twin beside Monte Carlo: four designs, random designs, a finite module, derivatives, images.
 
-    python benchmarks/twin.py [designs] [random] [module] [derivatives] [images] [mirror]
+    python benchmarks/twin.py [designs] [random] [module] [derivatives] [images] [ways] [mirror]
 
 Each table says how the twin differs from long Monte Carlo runs and how well those are known. Exits are either
 independent of each other, then both errors count, or the same in both, then what happens after the chip is compared
@@ -21,13 +21,16 @@ from containers.ray_tracing.build import cell_of, scene_of
 from containers.ray_tracing.exits import Exits, Landing, make_exits
 from containers.ray_tracing.field import CellField, ModuleField
 from containers.ray_tracing.monte_carlo import BLOCK
+from containers.ray_tracing.packing import emission_arrays
 from containers.ray_tracing.tally import Tally
 from containers.ray_tracing.twin.cell import cell_field
 from containers.ray_tracing.twin.columns import COLUMNS, film_column
-from containers.ray_tracing.twin.module import ModuleTwin
+from containers.ray_tracing.twin.direct import direct_light, open_way
+from containers.ray_tracing.twin.module import ModuleTwin, surroundings
 from containers.ray_tracing.twin.prediction import Shot, Supply, jacobian, twin_images
+from containers.ray_tracing.twin.ways import Ways
 from containers.ray_tracing.uniformity import cell_region, uniformity
-from containers.scene import Array, Emission, Receiver, Scene
+from containers.scene import Array, Cell, Emission, Receiver, Scene
 from containers.stack import dbr_of
 from containers.thin_film.table import film_table
 from luxloop.camera import Camera
@@ -212,6 +215,33 @@ def images() -> None:
     print(f"  Jacobian {found.shape}: {perf_counter() - start:.1f} s, new walks in moved chips included")
 
 
+def ways() -> None:
+    """Direct light of a chip among its neighbours: exits followed, and landed where they are known to come."""
+    print("direct light, model paper, 131072 histories of exits, one thread, CPU ms, best of 7")
+    environment = find_model("paper").environment
+    for pairs in (0.0, 5.5):
+        cell = scene_at(environment, Design.from_vector((180.0, 40.0, 400.0, 20.0, pairs)))
+        for n in (1, 5):
+            lit = replace(cell, layout=Array.regular(n, n, 400.0))
+            exits, known = make_exits(lit, 7, 4 * BLOCK, notes=True), Ways()
+            way = open_way(*surroundings(lit, Array.regular(n, n, 400.0)))
+            emission = emission_arrays(replace(lit, layout=Cell(400.0)))
+
+            def landed(by: Ways | None) -> tuple[Tally, float]:
+                begun = process_time()
+                found = direct_light(way, emission, exits, 1, groups=2, threads=1, known=by)  # noqa: B023  # at once
+                return found, 1e3 * (process_time() - begun)
+
+            landed(Ways())  # compiled
+            first = landed(known)[1]
+            (alone, followed), (again, known_ms) = (
+                min((landed(by) for _ in range(7)), key=lambda one: one[1]) for by in (None, known)
+            )
+            same = "the same bits" if np.array_equal(alone.bins, again.bins) else "OTHER BITS"
+            took = f"followed {followed:5.1f}, first {first:5.1f}, known {known_ms:5.1f}"
+            print(f"  {pairs:3.1f} pairs, {n} x {n}: {took}; {same}")
+
+
 def mirror() -> None:
     """Case A: light from the chip's top over three substrates, the closed form alone, and with the chips."""
     scene = scene_at(find_model("clear_chip").environment, Design.from_vector(DESIGNS["S_b3, none"]))
@@ -238,6 +268,7 @@ SECTIONS = {
     "module": module,
     "derivatives": derivatives,
     "images": images,
+    "ways": ways,
     "mirror": mirror,
 }
 

@@ -9,10 +9,7 @@ shared among the four bins around it in proportion to its distance, so that it m
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,13 +43,12 @@ from containers.ray_tracing.twin.direct_kernel import (
     WayArrays,
     land_direct,
 )
+from containers.ray_tracing.twin.parallel import in_parallel
 from containers.ray_tracing.twin.ways import Dark, Ways
 from containers.scene import LEAST_INDEX, Array, Chip, Emission, Face, Receiver, Scene
 from luxloop.errors import InputError
-from luxloop.process import usable_cores
 
 Real = NDArray[np.float64]
-Found = TypeVar("Found")
 
 UNKNOWN = Arrivals(np.zeros((0, 3)), np.zeros(0, np.int8))
 ARRIVES, SEEN_MORE = range(2)
@@ -189,19 +185,19 @@ def direct_light(
     sets, births = _sets_of(exits)
     per_um = 0.0 if exits.births is None else 1.0 / exits.births.width_um
     numbers = np.uint64(seed ^ LANDING)
+    arrivals = [[UNKNOWN] * own for _ in sets]
+    if known is not None and way.dark is not None:
+        arrivals = [known.of(way.dark, emission, one, blocks, seed, threads) for one in sets]
 
     def land(together: int) -> None:
         work, lost = scratch(), nowhere()
-        for one, counts in zip(sets, births, strict=True):
+        for one, counts, its in zip(sets, births, arrivals, strict=True):
             for group in range(together * own // groups, (together + 1) * own // groups):
                 mine = slice(one.ends[group, 0], one.ends[group, blocks])
                 weights = np.zeros(0, np.float32) if one.weights is None else one.weights[mine]
-                arrivals = UNKNOWN
-                if known is not None and way.dark is not None:
-                    arrivals = known.of(way.dark, emission, one, group, blocks, seed)
                 land_direct(
                     way.arrays, emission, numbers, group, own, one.first_block * BLOCK, one.rays[mine], weights,
-                    one.notes[mine], BirthArrays(counts, per_um, way.images), arrivals, lost, work, bins[together],
+                    one.notes[mine], BirthArrays(counts, per_um, way.images), its[group], lost, work, bins[together],
                 )  # fmt: skip
 
     in_parallel(land, range(groups), threads)
@@ -219,12 +215,3 @@ def _sets_of(exits: Exits) -> tuple[tuple[Exits, ...], list[Real]]:
     sets = (exits, *births.others)
     added: Real = (births.weights - 1.0) / len(sets)
     return sets, [1.0 + added, *(added for _ in births.others)]
-
-
-def in_parallel(work: Callable[[int], Found], numbers: Sequence[int], threads: int | None) -> list[Found]:
-    """What `work` makes of each number, on several threads at once; all that may be used by default."""
-    threads = threads or usable_cores()
-    if threads == 1:
-        return [work(number) for number in numbers]
-    with ThreadPoolExecutor(threads) as pool:
-        return list(pool.map(work, numbers))

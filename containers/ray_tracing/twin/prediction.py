@@ -31,9 +31,9 @@ from containers.ray_tracing.several_tops import scenes_of
 from containers.ray_tracing.twin.birthplace import born_as_in, evenly_lit, is_even
 from containers.ray_tracing.twin.columns import CameraColumn, Column
 from containers.ray_tracing.twin.difference import Difference, Plate
-from containers.ray_tracing.twin.direct import in_parallel
 from containers.ray_tracing.twin.module import BINS_PER_HEIGHT, PAD, Lights, ModuleTwin
 from containers.ray_tracing.twin.noise import NoiseBasis, most_functions, noise_columns
+from containers.ray_tracing.twin.parallel import in_parallel
 from containers.ray_tracing.twin.reweighting import OtherChipError, keeping_all, lender_of, reweighted
 from containers.scene import Array, Scene
 from luxloop.camera import Camera

@@ -41,8 +41,9 @@ from containers.ray_tracing.philox import CHIP, EMISSION, draw, start
 from containers.ray_tracing.philox import SUBSTRATE as SUBSTRATE_KIND
 from containers.ray_tracing.surfaces import REFLECTED, scatter
 from containers.ray_tracing.tally import nowhere
-from containers.ray_tracing.twin.direct import Way, in_parallel
+from containers.ray_tracing.twin.direct import Way
 from containers.ray_tracing.twin.direct_kernel import WayArrays, reaches_receiver
+from containers.ray_tracing.twin.parallel import in_parallel
 from containers.scene import Scene
 
 Real = NDArray[np.float64]

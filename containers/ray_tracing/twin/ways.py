@@ -19,6 +19,7 @@ from containers.ray_tracing.monte_carlo import BLOCK
 from containers.ray_tracing.tally import nowhere
 from containers.ray_tracing.twin.direct_kernel import Arrivals, walk_ways
 from containers.ray_tracing.twin.held import Held
+from containers.ray_tracing.twin.parallel import in_parallel
 
 HELD_BYTES = 256 * 2**20
 """Of ways that are remembered: 131,072 histories of a chip have 6 MB."""
@@ -43,23 +44,30 @@ class Ways:
     """Where exits first come to the receiver, for as long as somebody holds them."""
 
     def __init__(self, most_bytes: int = HELD_BYTES) -> None:
-        self._held = Held[Arrivals](most_bytes, lambda one: one.places.nbytes + one.bounces.nbytes)
+        self._held = Held[list[Arrivals]](most_bytes, _bytes_of)
 
     def __len__(self) -> int:
-        """How many are remembered, each of a group of exits."""
+        """How many sets of exits are remembered, each in a scene."""
         return len(self._held)
 
-    def of(self, dark: Dark, emission: EmissionArrays, exits: Exits, group: int, blocks: int, seed: int) -> Arrivals:
-        """Those of the first blocks of a group, until they meet a chip."""
-        groups, rays = len(exits.ends), exits.rays[exits.ends[group, 0] : exits.ends[group, blocks]]
+    def of(
+        self, dark: Dark, emission: EmissionArrays, exits: Exits, blocks: int, seed: int, threads: int | None
+    ) -> list[Arrivals]:
+        """Those of the first blocks, group by group, until they meet a chip."""
 
-        def walk() -> Arrivals:
+        def walk(group: int) -> Arrivals:
+            rays = exits.rays[exits.ends[group, 0] : exits.ends[group, blocks]]
             found = Arrivals(np.zeros((len(rays), 3)), np.zeros(len(rays), np.int8))
             walk_ways(
-                dark.scene, emission, np.uint64(seed ^ LANDING), group, groups, exits.first_block * BLOCK, rays,
-                np.zeros(0, np.float32), found, nowhere(), scratch(),
+                dark.scene, emission, np.uint64(seed ^ LANDING), group, len(exits.ends), exits.first_block * BLOCK,
+                rays, np.zeros(0, np.float32), found, nowhere(), scratch(),
             )  # fmt: skip
             return found
 
-        facts = id(exits.rays), exits.first_block, groups, group, blocks, seed
-        return self._held.of(f"{dark.key} {facts}", exits.rays, walk)
+        groups = range(len(exits.ends))
+        facts = id(exits.rays), exits.first_block, len(groups), blocks, seed
+        return self._held.of(f"{dark.key} {facts}", exits.rays, lambda: in_parallel(walk, groups, threads))
+
+
+def _bytes_of(ways: list[Arrivals]) -> int:
+    return sum(one.places.nbytes + one.bounces.nbytes for one in ways)
