@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -122,7 +121,9 @@ class _Packer:
 
     def add(self, name: str, waves: tuple[Bsdf, ...], index: tuple[float, ...] = (), side: str = "") -> None:
         """A surface, by wavelength: one Bsdf each; of a chip's face the index each, and the side it is seen from."""
-        one = _tabled(name, tuple(map(_Same, waves)), index, side)
+        same = tuple(map(_Same, waves))
+        keeps = all(one.is_known or isinstance(one.bsdf, SpecularTable) for one in same)
+        one = (_tabled if keeps else _tabled.__wrapped__)(name, same, index, side)
         at, sigmas = self.keep(one.shares), self.keep(one.sigmas)
         cells = self.keep(one.cells) if one.cells.size else 0
         row = [len(one.kinds), one.nodes, one.stride, at, int(side == INSIDE), int(one.flat), int(one.specular)]
@@ -142,7 +143,10 @@ class _Packer:
 
 
 class _Same:
-    """A surface that is the same as an equal one; as itself alone where it holds arrays, which have no hash."""
+    """A surface that is the same as an equal one; as itself alone where it holds arrays, which have no hash.
+
+    Nobody writes into those.
+    """
 
     __slots__ = ("_hash", "bsdf")
 
@@ -152,6 +156,11 @@ class _Same:
             self._hash: int | None = hash(bsdf)
         except TypeError:
             self._hash = None
+
+    @property
+    def is_known(self) -> bool:
+        """Whether it is known by its value."""
+        return self._hash is not None
 
     def __hash__(self) -> int:
         return id(self.bsdf) if self._hash is None else self._hash
@@ -164,7 +173,8 @@ class _Same:
         )
 
 
-class _Tabled(NamedTuple):
+@dataclass(frozen=True)
+class _Tabled:
     """A surface as kernels read it."""
 
     kinds: tuple[int, ...]
@@ -184,7 +194,7 @@ class _Tabled(NamedTuple):
 def _tabled(name: str, waves: tuple[_Same, ...], index: tuple[float, ...], side: str) -> _Tabled:
     """A surface's tables; faces of chips are asked for again and again, by each scene that has them."""
     parts = [parts_of(wave.bsdf) for wave in waves]
-    if not parts[0]:
+    if not any(parts):
         parts = [[Part(LAMBERT, _constant(0.0))]] * len(waves)
     kinds = tuple(part.kind for part in parts[0])
     if len(kinds) > MOST_PARTS or any(tuple(part.kind for part in wave) != kinds for wave in parts):
@@ -195,7 +205,7 @@ def _tabled(name: str, waves: tuple[_Same, ...], index: tuple[float, ...], side:
     )
     if not np.all(np.isfinite(shares)) or shares.min() < -1e-12 or shares.max() > 1.0 + 1e-9:
         raise InputError(name, float(shares.max()), "shares of power from 0 to 1", "it would create energy")
-    shares = np.minimum(shares, 1.0)
+    shares = np.minimum(shares, 1.0) + 0.0  # -0 and 0 are one
     shares[..., -1][shares[..., -1] > 1.0 - 1e-13] = 1.0
     if len(waves) > 1 and np.ptp(shares, axis=0).max() == 0.0:
         shares = shares[:1]

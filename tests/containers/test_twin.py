@@ -10,13 +10,13 @@ import pytest
 from numpy.typing import NDArray
 
 from containers.bsdf import GaussianLobe, Lambertian, Mirror, Mixture
-from containers.ray_tracing.exits import Births, Exits, Landing, make_exits
+from containers.ray_tracing.exits import Exits, Landing, make_exits
 from containers.ray_tracing.field import Axis, CellField
 from containers.ray_tracing.monte_carlo import BLOCK
 from containers.ray_tracing.twin.cell import cell_field
 from containers.ray_tracing.twin.columns import COLUMNS
 from containers.ray_tracing.twin.module import ChipMap, Lights, ModuleTwin
-from containers.scene import Array, Cell, Emission, Face, Receiver, Scene, lambertian_receiver
+from containers.scene import Array, Cell, Emission, Receiver, Scene, lambertian_receiver
 from luxloop.errors import InputError
 from tests.ray_scenes import scene
 
@@ -189,40 +189,6 @@ def test_light_of_chips_that_is_remembered_is_the_same_to_the_last_bit(dim: tupl
         remembered, alone = (ModuleTwin(one, exits, blocks=1, known=by).mean(x, x) for by in (known, None))
         np.testing.assert_array_equal(remembered, alone)
     assert len(known) == 4
-
-
-def test_ways_that_are_remembered_change_no_bit(dim: tuple[Scene, Exits]) -> None:
-    """Chips that absorb, reflect or shine otherwise share them; what stands elsewhere, or scatters, has its own."""
-    case, exits = dim
-    lit = replace(
-        case, layout=Array.regular(2, 2, 150.0), substrate=GaussianLobe(0.9, SIGMA)
-    )  # so near that many meet a chip
-    dull = Face((Mirror(0.5),), (Mirror(0.5),))
-    heavier = replace(exits, weights=np.linspace(0.5, 2.0, len(exits.rays), dtype=np.float32))
-    corner = np.array([[0.2, 1.0], [1.0, 1.8]])
-    born = replace(exits, births=Births(corner, lit.chip.width_um, (make_exits(case, 3, 4 * BLOCK, notes=True),)))
-    uneven = replace(lit, emission=lit.emission.by_place(corner))
-    by_angle = replace(lit.receiver, response=np.linspace(0.7, 1.0, 9))
-    same = [
-        (lit, exits), (lit, heavier), (replace(lit, receiver=by_angle), exits),
-        (replace(lit, substrate=GaussianLobe(0.4, SIGMA)), exits),
-        (replace(lit, chip=replace(lit.chip, absorption_per_um=0.5, sides=dull)), exits), (uneven, born),
-    ]  # fmt: skip
-    others = [
-        (replace(lit, distance_um=lit.distance_um + 1.0), exits),
-        (replace(lit, layout=Array.regular(2, 2, 160.0)), exits),
-        (replace(lit, substrate=Mirror(0.9)), exits), (replace(lit, leak_share=0.3, leak_um=200.0), exits),
-        (lit, make_exits(case, 2, BLOCK, notes=True)),
-    ]  # fmt: skip
-    x, known, seen = np.linspace(-300.0, 300.0, 9), Lights(), []
-    for one, its in same + others:
-        remembered, alone = (ModuleTwin(one, its, blocks=1, known=by).mean(x, x) for by in (known, None))
-        np.testing.assert_array_equal(remembered, alone)
-        seen.append(len(known.ways))
-    assert seen == [1, 1, 1, 1, 1, 2, 3, 4, 5, 6, 7]  # of unevenness a second set of exits tells
-    mirrored = replace(lit, receiver=Receiver(Mixture((Lambertian(0.3), Mirror(1.0)), (0.8, 0.2))))
-    ModuleTwin(mirrored, exits, blocks=1, known=known)
-    assert len(known.ways) == seen[-1]
 
 
 def test_remembered_light_lasts_as_long_as_its_exits_and_within_its_room(dim: tuple[Scene, Exits]) -> None:

@@ -10,6 +10,7 @@ shared among the four bins around it in proportion to its distance, so that it m
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,8 +61,8 @@ class Way:
     """A scene for direct light, and where its bins lie."""
 
     arrays: WayArrays
-    dark: Dark | None
-    """The same scene with chips that take all that meets them; none where the receiver sends on what arrives."""
+    bare: Scene | None
+    """The same with chips that take all that meets them; none where the receiver sends on what arrives."""
     box: Box
     images: int
     """Of an exit, where chips shine unevenly: what the chip and its neighbours have of the square's symmetries."""
@@ -71,6 +72,11 @@ class Way:
         """The arrays of the scene."""
         return self.arrays.scene
 
+    @cached_property
+    def dark(self) -> Dark | None:
+        """The arrays of `bare`."""
+        return None if self.bare is None else Dark(scene_arrays(self.bare))
+
     def endless(self) -> Way:
         """The same chips in a cell that repeats, on a substrate that does not leak: what chips do is asked alone."""
         numbers, flags = self.scene.numbers.copy(), self.scene.flags.copy()
@@ -78,7 +84,7 @@ class Way:
         numbers[[HALF_X, HALF_Y]], numbers[[ORIGIN_X, ORIGIN_Y, TILT_X, TILT_Y]] = np.inf, 0.0
         flags[[PERIODIC, WALLS]] = 1, 0
         scene = self.scene._replace(numbers=numbers, flags=flags)
-        return replace(self, arrays=self.arrays._replace(scene=scene))
+        return replace(self, arrays=self.arrays._replace(scene=scene), bare=None)
 
 
 def without_loss(bsdf: Bsdf) -> tuple[Bsdf, float]:
@@ -131,15 +137,14 @@ def open_way(scene: Scene, box: Box) -> Way:
     )
     black = replace(scene, chip=chip, substrate=white, receiver=replace(scene.receiver, bsdf=Lambertian(0.0)))
     arrays = scene_arrays(black)
-    rest, dark = arrays, None
+    rest, bare = arrays, None
     if followed == Lambertian(0.0):
         bare = replace(black, chip=_taking_all(chip), emission=Emission(), receiver=Receiver(followed))
-        dark = Dark(scene_arrays(bare))
     else:
         rest = scene_arrays(replace(black, receiver=Receiver(followed)))
     square = not isinstance(scene.layout, Array) or scene.layout.rows == scene.layout.columns
     images = 1 if box.folded else len(IMAGES) if square else len(IMAGES) // 2
-    return Way(WayArrays(arrays, rest, kept, box.numbers), dark, box, images)
+    return Way(WayArrays(arrays, rest, kept, box.numbers), bare, box, images)
 
 
 def _taking_all(chip: Chip) -> Chip:
@@ -187,7 +192,8 @@ def direct_light(
     numbers = np.uint64(seed ^ LANDING)
     arrivals = [[UNKNOWN] * own for _ in sets]
     if known is not None and way.dark is not None:
-        arrivals = [known.of(way.dark, emission, one, blocks, seed, threads) for one in sets]
+        how = {"blocks": blocks, "groups": own, "seed": seed, "threads": threads}
+        arrivals = [known.of(way.dark, emission, one, **how) for one in sets]
 
     def land(together: int) -> None:
         work, lost = scratch(), nowhere()

@@ -45,8 +45,9 @@ Single = NDArray[np.float32]
 IMAGES = tuple((x, y, swapped) for swapped in (False, True) for x in (1.0, -1.0) for y in (1.0, -1.0))
 """The symmetries of the square: signs of x and y, and whether they are exchanged; the first four are those of a
 rectangle, the first one that of anything."""
-MEETS_CHIP, LOST, MOST_BOUNCES = -1, -2, 127
-"""What else becomes of an exit than so many bounces and the receiver."""
+ALONE, LOST, MOST_BOUNCES = -1, -2, 127
+"""What else becomes of an exit than some bounces and the receiver: it meets a chip, bounces more often, or loses
+weight on its way, so that it is followed by itself; or it ends elsewhere."""
 FAINTEST = 1e-6
 """Share of a ray's weight below which the reflections that are followed at the receiver end."""
 
@@ -76,12 +77,12 @@ class BirthArrays(NamedTuple):
 
 
 class Arrivals(NamedTuple):
-    """Where exits first come to the receiver, before they meet a chip; (0,) exits: nobody has looked."""
+    """Where exits, of weights from 0, first come to the receiver before they meet a chip; (0,): nobody has looked."""
 
     places: Real
     """(exit, 3): x and y in um, cosine to the receiver."""
     bounces: NDArray[np.int8]
-    """(exit,) at the substrate until then; or `MEETS_CHIP`, or `LOST`."""
+    """(exit,) at the substrate until then; or `ALONE`, or `LOST`."""
 
 
 @borrowing_kernel
@@ -108,9 +109,9 @@ def walk_ways(
             bounces = stream[2 + SUBSTRATE]
             arrivals.places[number, 0], arrivals.places[number, 1] = ray[X], ray[Y]
             arrivals.places[number, 2] = ray[DZ]
-            arrivals.bounces[number] = bounces if bounces <= MOST_BOUNCES else MEETS_CHIP
+            arrivals.bounces[number] = bounces if bounces <= MOST_BOUNCES and ray[WEIGHT] == 1.0 else ALONE
         else:
-            arrivals.bounces[number] = MEETS_CHIP if sinks.ledger[DBR_END] > 0.0 else LOST
+            arrivals.bounces[number] = ALONE if sinks.ledger[DBR_END] > 0.0 else LOST
 
 
 @borrowing_kernel

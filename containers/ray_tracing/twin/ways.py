@@ -22,7 +22,7 @@ from containers.ray_tracing.twin.held import Held
 from containers.ray_tracing.twin.parallel import in_parallel
 
 HELD_BYTES = 256 * 2**20
-"""Of ways that are remembered: 131,072 histories of a chip have 6 MB."""
+"""Of ways that are remembered: 131,072 histories of a chip have 2 MB."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Dark:
 
     @cached_property
     def key(self) -> str:
-        """SHA-256 of all that decides what becomes of a ray."""
+        """SHA-256 of all that decides what becomes of a ray in it."""
         digest, scene = sha256(), self.scene
         for part in (scene.numbers, scene.flags, scene.surfaces.layout, scene.surfaces.tables):
             digest.update(repr(part.shape).encode() + part.tobytes())
@@ -51,22 +51,31 @@ class Ways:
         return len(self._held)
 
     def of(
-        self, dark: Dark, emission: EmissionArrays, exits: Exits, blocks: int, seed: int, threads: int | None
+        self,
+        dark: Dark,
+        emission: EmissionArrays,
+        exits: Exits,
+        *,
+        blocks: int,
+        groups: int,
+        seed: int,
+        threads: int | None,
     ) -> list[Arrivals]:
-        """Those of the first blocks, group by group, until they meet a chip."""
+        """Those of the first blocks, group by group; parameters as those of `land_direct`."""
 
         def walk(group: int) -> Arrivals:
             rays = exits.rays[exits.ends[group, 0] : exits.ends[group, blocks]]
             found = Arrivals(np.zeros((len(rays), 3)), np.zeros(len(rays), np.int8))
             walk_ways(
-                dark.scene, emission, np.uint64(seed ^ LANDING), group, len(exits.ends), exits.first_block * BLOCK,
+                dark.scene, emission, np.uint64(seed ^ LANDING), group, groups, exits.first_block * BLOCK,
                 rays, np.zeros(0, np.float32), found, nowhere(), scratch(),
             )  # fmt: skip
             return found
 
-        groups = range(len(exits.ends))
-        facts = id(exits.rays), exits.first_block, len(groups), blocks, seed
-        return self._held.of(f"{dark.key} {facts}", exits.rays, lambda: in_parallel(walk, groups, threads))
+        facts = exits.first_block, exits.ends[:, [0, blocks]].tolist(), groups, seed
+        chip = emission.chip_cumulative.tolist(), emission.centres_um.tolist()
+        key = f"{dark.key} {id(exits.rays)} {facts} {chip}"
+        return self._held.of(key, exits.rays, lambda: in_parallel(walk, range(len(exits.ends)), threads))
 
 
 def _bytes_of(ways: list[Arrivals]) -> int:
