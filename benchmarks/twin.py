@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from containers.bsdf import Lambertian, Mirror
+from containers.ray_tracing.arrays import EmissionArrays
 from containers.ray_tracing.build import cell_of, scene_of
 from containers.ray_tracing.exits import Exits, Landing, make_exits
 from containers.ray_tracing.field import CellField, ModuleField
@@ -25,7 +26,7 @@ from containers.ray_tracing.packing import emission_arrays
 from containers.ray_tracing.tally import Tally
 from containers.ray_tracing.twin.cell import cell_field
 from containers.ray_tracing.twin.columns import COLUMNS, film_column
-from containers.ray_tracing.twin.direct import direct_light, open_way
+from containers.ray_tracing.twin.direct import Way, direct_light, open_way
 from containers.ray_tracing.twin.module import ModuleTwin, surroundings
 from containers.ray_tracing.twin.prediction import Shot, Supply, jacobian, twin_images
 from containers.ray_tracing.twin.ways import Ways
@@ -226,20 +227,22 @@ def ways() -> None:
             exits, known = make_exits(lit, 7, 4 * BLOCK, notes=True), Ways()
             way = open_way(*surroundings(lit, Array.regular(n, n, 400.0)))
             emission = emission_arrays(replace(lit, layout=Cell(400.0)))
-
-            def landed(by: Ways | None) -> tuple[Tally, float]:
-                begun = process_time()
-                found = direct_light(way, emission, exits, 1, groups=2, threads=1, known=by)  # noqa: B023  # at once
-                return found, 1e3 * (process_time() - begun)
-
-            landed(Ways())  # compiled
-            first = landed(known)[1]
+            landed(way, emission, exits, Ways())  # compiled
+            first = landed(way, emission, exits, known)[1]
             (alone, followed), (again, known_ms) = (
-                min((landed(by) for _ in range(7)), key=lambda one: one[1]) for by in (None, known)
+                min((landed(way, emission, exits, by) for _ in range(7)), key=lambda one: one[1])
+                for by in (None, known)
             )
             same = "the same bits" if np.array_equal(alone.bins, again.bins) else "OTHER BITS"
             took = f"followed {followed:5.1f}, first {first:5.1f}, known {known_ms:5.1f}"
             print(f"  {pairs:3.1f} pairs, {n} x {n}: {took}; {same}")
+
+
+def landed(way: Way, emission: EmissionArrays, exits: Exits, known: Ways | None) -> tuple[Tally, float]:
+    """Direct light on one thread, and the CPU that it took, in ms."""
+    begun = process_time()
+    found = direct_light(way, emission, exits, 1, groups=2, threads=1, known=known)
+    return found, 1e3 * (process_time() - begun)
 
 
 def mirror() -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,6 +66,11 @@ class SceneArrays(NamedTuple):
     flags: NDArray[np.int64]
     surfaces: Surfaces
     """With the receiver's response and the displacements of the chips at the end of its tables."""
+
+    @property
+    def parts(self) -> tuple[NDArray[Any], ...]:
+        """All of it, one array after the other: what decides the way of a ray, for a digest."""
+        return self.numbers, self.flags, self.surfaces.layout, self.surfaces.tables
 
 
 class EmissionArrays(NamedTuple):

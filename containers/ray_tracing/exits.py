@@ -98,8 +98,7 @@ def chip_key(scene: Scene) -> str:
 
 def scene_key(scene: Scene) -> str:
     """SHA-256 of all that decides what becomes of light in a scene whose chips have one top."""
-    arrays = scene_arrays(scene)
-    parts = (arrays.numbers, arrays.flags, arrays.surfaces.layout, arrays.surfaces.tables, *emission_arrays(scene))
+    parts = (*scene_arrays(scene).parts, *emission_arrays(scene))
     powers = [scene.layout.power] if isinstance(scene.layout, Array) else []  # those above are shares of all
     digest = hashlib.sha256(f"exits {VERSION}".encode())
     for part in (*parts, *powers):

@@ -122,8 +122,8 @@ class _Packer:
     def add(self, name: str, waves: tuple[Bsdf, ...], index: tuple[float, ...] = (), side: str = "") -> None:
         """A surface, by wavelength: one Bsdf each; of a chip's face the index each, and the side it is seen from."""
         same = tuple(map(_Same, waves))
-        keeps = all(one.is_known or isinstance(one.bsdf, SpecularTable) for one in same)
-        one = (_tabled if keeps else _tabled.__wrapped__)(name, same, index, side)
+        keeps = all(one.by_value or isinstance(one.bsdf, SpecularTable) for one in same)  # tables of cells are large
+        one = (_kept if keeps else _tabled)(name, same, index, side)
         at, sigmas = self.keep(one.shares), self.keep(one.sigmas)
         cells = self.keep(one.cells) if one.cells.size else 0
         row = [len(one.kinds), one.nodes, one.stride, at, int(side == INSIDE), int(one.flat), int(one.specular)]
@@ -158,7 +158,7 @@ class _Same:
             self._hash = None
 
     @property
-    def is_known(self) -> bool:
+    def by_value(self) -> bool:
         """Whether it is known by its value."""
         return self._hash is not None
 
@@ -190,9 +190,8 @@ class _Tabled:
     specular: bool
 
 
-@lru_cache(MOST_TABLED)
 def _tabled(name: str, waves: tuple[_Same, ...], index: tuple[float, ...], side: str) -> _Tabled:
-    """A surface's tables; faces of chips are asked for again and again, by each scene that has them."""
+    """A surface's tables."""
     parts = [parts_of(wave.bsdf) for wave in waves]
     if not any(parts):
         parts = [[Part(LAMBERT, _constant(0.0))]] * len(waves)
@@ -222,6 +221,10 @@ def _tabled(name: str, waves: tuple[_Same, ...], index: tuple[float, ...], side:
         flat=bool(np.ptp(shares, axis=1).max() == 0.0),
         specular=set(kinds) <= {MIRROR, REFRACTED},
     )
+
+
+_kept = lru_cache(MOST_TABLED)(_tabled)
+"""The same, kept: faces of chips are asked for again and again, by each scene that has them."""
 
 
 def _cells(table: Tabulated) -> Real:

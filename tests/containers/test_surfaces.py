@@ -22,6 +22,7 @@ from containers.bsdf import (
     direction_of,
     tabulate,
 )
+from containers.ray_tracing import packing
 from containers.ray_tracing.arrays import SUBSTRATE, TOP_IN, TOP_OUT, SceneArrays
 from containers.ray_tracing.build import cell_of, film_faces, scene_of
 from containers.ray_tracing.packing import scene_arrays
@@ -296,3 +297,38 @@ def test_wavelengths_keep_their_own_powers() -> None:
     for wave, R in ((0, 0.2), (1, 0.9)):
         at, above = node_of(surfaces, TOP_IN, wave, 0.3, N * N)
         assert share(surfaces, TOP_IN, at, above, 0) == pytest.approx(R)
+
+
+def test_a_face_that_is_black_in_one_wave_only_is_not_taken_for_black() -> None:
+    """Parts are the same for all wavelengths, whichever comes first."""
+    for faces in ((Lambertian(0.0), Lambertian(0.5)), (Lambertian(0.5), Lambertian(0.0))):
+        top, sides = Face(bare().inside * 2, bare().outside * 2), Face(faces, faces)
+        of = scene({"index": np.array([N, N]), "top": top, "sides": sides}, wavelength_weight=np.array([0.5, 0.5]))
+        with pytest.raises(InputError, match="the same for all wavelengths"):
+            scene_arrays(of)
+
+
+def test_tables_that_are_kept_are_those_of_the_surface() -> None:
+    """Whatever was packed before: equal numbers in other kinds, films made anew, 0 and -0."""
+    theta = np.array([0.0, 1.0])
+    films = [SpecularTable(theta, np.full(2, R), np.full(2, 0.9 - R)) for R in (0.5, 0.4, 0.5)]
+    surfaces: list[Bsdf] = [
+        Mirror(0.5), Lambertian(0.5), GaussianLobe(0.5, 0.1), GaussianLobe(0.5, 0.2), Mirror(0.0), Mirror(-0.0),
+        Fresnel(1.0, 1.5), Fresnel(1.5, 1.0), *films,
+    ]  # fmt: skip
+    alone = []
+    for one in surfaces:
+        packing._kept.cache_clear()
+        alone.append(packed(one))
+    for _ in range(2):
+        for one, before in zip(surfaces, alone, strict=True):
+            for found, expected in zip(packed(one).parts, before.parts, strict=True):
+                assert found.tobytes() == expected.tobytes()
+
+
+def test_tables_of_cells_are_not_kept() -> None:
+    """They may be of megabytes."""
+    packed(Mirror(0.5))
+    before = packing._kept.cache_info().currsize
+    packed(narrow_table(np.pi))
+    assert packing._kept.cache_info().currsize == before

@@ -10,13 +10,12 @@ import pytest
 from containers.bsdf import GaussianLobe, Lambertian, Mirror, Mixture
 from containers.ray_tracing.exits import Births, Exits, make_exits
 from containers.ray_tracing.monte_carlo import BLOCK
-from containers.ray_tracing.packing import emission_arrays, scene_arrays
+from containers.ray_tracing.packing import emission_arrays
 from containers.ray_tracing.tally import Box
 from containers.ray_tracing.twin.direct import direct_light, open_way
 from containers.ray_tracing.twin.module import Lights, ModuleTwin
 from containers.ray_tracing.twin.ways import Ways
 from containers.scene import Array, Cell, Face, Receiver, Scene
-from luxloop.errors import InputError
 from tests.ray_scenes import scene
 
 SIGMA = np.radians(5.0)
@@ -32,9 +31,8 @@ def dim() -> tuple[Scene, Exits]:
 def test_ways_that_are_remembered_change_no_bit(dim: tuple[Scene, Exits]) -> None:
     """Chips that absorb, reflect or shine otherwise share them; what stands elsewhere, or scatters, has its own."""
     case, exits = dim
-    lit = replace(
-        case, layout=Array.regular(2, 2, 150.0), substrate=GaussianLobe(0.9, SIGMA)
-    )  # so near that many meet a chip
+    near = Array.regular(2, 2, 150.0)  # many meet a chip
+    lit = replace(case, layout=near, substrate=GaussianLobe(0.9, SIGMA))
     dull = Face((Mirror(0.5),), (Mirror(0.5),))
     heavier = replace(exits, weights=np.linspace(0.5, 2.0, len(exits.rays), dtype=np.float32))
     corner = np.array([[0.2, 1.0], [1.0, 1.8]])
@@ -83,13 +81,3 @@ def test_direct_light_is_the_same_by_any_way(dim: tuple[Scene, Exits], wall: Mir
         found, alone = (direct_light(along, emission, its, 1, known=by, **how).bins for by in (known, None))
         np.testing.assert_array_equal(found, alone)
     assert len(known) == 5
-
-
-def test_a_face_that_is_black_in_one_wave_only_is_not_taken_for_black() -> None:
-    """Parts are the same for all wavelengths, whichever comes first."""
-    one = scene().chip
-    top = Face(2 * one.top.inside, 2 * one.top.outside)
-    for faces in ((Lambertian(0.0), Lambertian(0.5)), (Lambertian(0.5), Lambertian(0.0))):
-        chip = replace(one, index=np.repeat(one.index, 2), top=top, sides=Face(faces, faces))
-        with pytest.raises(InputError, match="the same for all wavelengths"):
-            scene_arrays(scene(chip=chip, wavelength_weight=np.array([0.5, 0.5])))

@@ -37,13 +37,7 @@ from containers.ray_tracing.kernel import scratch
 from containers.ray_tracing.monte_carlo import BLOCK
 from containers.ray_tracing.packing import scene_arrays
 from containers.ray_tracing.tally import OPTICAL_EVENTS, Box, Tally, nowhere
-from containers.ray_tracing.twin.direct_kernel import (
-    IMAGES,
-    Arrivals,
-    BirthArrays,
-    WayArrays,
-    land_direct,
-)
+from containers.ray_tracing.twin.direct_kernel import IMAGES, Arrivals, BirthArrays, WayArrays, land_direct
 from containers.ray_tracing.twin.parallel import in_parallel
 from containers.ray_tracing.twin.ways import Dark, Ways
 from containers.scene import LEAST_INDEX, Array, Chip, Emission, Face, Receiver, Scene
@@ -52,6 +46,7 @@ from luxloop.errors import InputError
 Real = NDArray[np.float64]
 
 UNKNOWN = Arrivals(np.zeros((0, 3)), np.zeros(0, np.int8))
+"""Of exits that nobody has followed yet."""
 ARRIVES, SEEN_MORE = range(2)
 """Layers of the bins: light that arrives, and by how much more of it is recorded (`Receiver.response`)."""
 
@@ -177,9 +172,7 @@ def direct_light(
 
     Notes
     -----
-    A bin holds the light around its centre, with weights that fall linearly to 0 one bin's width away. Whatever
-    changes weights alone (a film, absorption, where light is born), or what becomes of light in chips, leaves the
-    ways of exits to the receiver as they are, but for those few that meet a chip.
+    A bin holds the light around its centre, with weights that fall linearly to 0 one bin's width away.
     """
     own, blocks = exits.ends.shape[0], blocks or exits.ledger.shape[1]
     groups = groups or own

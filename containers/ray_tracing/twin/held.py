@@ -1,4 +1,4 @@
-"""Values that are reckoned once and go with what they were made of, which takes more room than they do."""
+"""Values that are reckoned once and go, at the next look, with what they were made of."""
 
 from __future__ import annotations
 

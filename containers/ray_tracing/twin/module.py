@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from hashlib import sha256
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -202,10 +201,7 @@ def digest_of(way: Way, emission: EmissionArrays, *facts: object) -> str:
     """Of all that decides the light of one chip among its neighbours."""
     traced = way.arrays
     digest = sha256(repr((traced.kept, *facts)).encode())
-    parts: list[NDArray[Any]] = [*emission, traced.box]
-    for scene in (traced.scene, traced.receiver):
-        parts += [scene.numbers, scene.flags, scene.surfaces.layout, scene.surfaces.tables]
-    for part in parts:
+    for part in (*emission, traced.box, *traced.scene.parts, *traced.receiver.parts):
         digest.update(repr(part.shape).encode() + part.tobytes())
     return digest.hexdigest()
 

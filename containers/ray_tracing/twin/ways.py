@@ -1,7 +1,7 @@
 """The ways of stored exits to the receiver, walked once.
 
 A film, absorption in the chip, where its light is born: they change what exits weigh, and what becomes of the few
-that meet a chip on their way, 0 to 2 % of the light; all others land where they did.
+that meet a chip on their way (0 to 2 % of the light of chips of 40 um, 400 um apart); all others land where they did.
 """
 
 from __future__ import annotations
@@ -34,14 +34,14 @@ class Dark:
     @cached_property
     def key(self) -> str:
         """SHA-256 of all that decides what becomes of a ray in it."""
-        digest, scene = sha256(), self.scene
-        for part in (scene.numbers, scene.flags, scene.surfaces.layout, scene.surfaces.tables):
+        digest = sha256()
+        for part in self.scene.parts:
             digest.update(repr(part.shape).encode() + part.tobytes())
         return digest.hexdigest()
 
 
 class Ways:
-    """Where exits first come to the receiver, for as long as somebody holds them."""
+    """Where exits first come to the receiver; what nobody holds any more is gone at the next look."""
 
     def __init__(self, most_bytes: int = HELD_BYTES) -> None:
         self._held = Held[list[Arrivals]](most_bytes, _bytes_of)
