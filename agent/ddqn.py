@@ -116,7 +116,7 @@ def _torch() -> ModuleType:
     import torch
 
     torch.set_num_threads(1)
-    torch.use_deterministic_algorithms(True)
+    torch.set_deterministic_debug_mode("error")  # `use_deterministic_algorithms` also imports the compiler, for 1.7 s
     # memory is never read before it is written here, and filling it costs half of an update again
     deterministic: Any = torch.utils.deterministic  # its properties are made at run time
     deterministic.fill_uninitialized_memory = False
@@ -156,6 +156,33 @@ def act(weights: list[NDArray[np.float32]], state: NDArray[np.float32]) -> NDArr
     return values
 
 
+class Adam:
+    """torch's Adam by its function: the class imports torch's compiler first, 1.7 s of each process that learns."""
+
+    def __init__(self, weights: list[torch.Tensor], rate: float) -> None:
+        torch = _torch()
+        self.weights, self.rate = weights, rate
+        self.step_count = [torch.zeros(()) for _ in weights]
+        self.mean, self.square = ([torch.zeros_like(weight) for weight in weights] for _ in range(2))
+
+    def step(self) -> None:
+        """Move the weights by their gradients, and let go of these."""
+        from torch.optim.adam import adam
+
+        slopes = [weight.grad for weight in self.weights if weight.grad is not None]
+        with _torch().no_grad():
+            adam(
+                self.weights, slopes, self.mean, self.square, [], self.step_count, fused=True,
+                amsgrad=False, maximize=False, weight_decay=0.0, beta1=0.9, beta2=0.999, eps=1e-8, lr=self.rate,
+            )  # fmt: skip
+        for weight in self.weights:
+            weight.grad = None
+
+    def memory(self, i: int) -> dict[str, torch.Tensor]:
+        """What is remembered of the i-th weights, by torch's names."""
+        return {"step": self.step_count[i], "exp_avg": self.mean[i], "exp_avg_sq": self.square[i]}
+
+
 class Learner:
     """The two networks theta and theta', and Adam: what learns from minibatches."""
 
@@ -175,7 +202,7 @@ class Learner:
                 drawn = torch.empty(shape).uniform_(-(n_in**-0.5), n_in**-0.5, generator=random)
                 self.theta.append(drawn.requires_grad_())
         self.target = [parameter.detach().clone() for parameter in self.theta]
-        self.adam = torch.optim.Adam(self.theta, lr=learning.learning_rate, fused=True)
+        self.adam = Adam(self.theta, learning.learning_rate)
         self.batch = Batch.empty(learning.batch, moves)
         self._tensors = {name: torch.from_numpy(array) for name, array in vars(self.batch).items()}
 
@@ -186,7 +213,6 @@ class Learner:
             ours, theirs = (q_values(weights, batch["following"]) for weights in (self.theta, self.target))
             y = target_values(batch["reward"], batch["done"], ours, theirs, batch["allowed"], self.learning.gamma)
         loss = torch.nn.functional.huber_loss(q_values(self.theta, batch["state"]).gather(1, batch["action"]), y)
-        self.adam.zero_grad()
         loss.backward()
         self.adam.step()
         self.updates, self.loss = self.updates + 1, loss.detach()
@@ -202,7 +228,7 @@ class Learner:
         arrays = {"loss": np.array(np.nan if self.loss is None else float(self.loss), np.float32)}
         for i, (parameter, copy) in enumerate(zip(self.theta, self.target, strict=True)):
             arrays |= {f"theta_{i}": parameter.detach().numpy().copy(), f"target_{i}": copy.numpy().copy()}
-            arrays |= {f"adam_{i}_{name}": kept.numpy().copy() for name, kept in self.adam.state[parameter].items()}
+            arrays |= {f"adam_{i}_{name}": kept.numpy().copy() for name, kept in self.adam.memory(i).items()}
         return arrays
 
     def restore(self, arrays: dict[str, NDArray[Any]], updates: int) -> None:
@@ -212,9 +238,8 @@ class Learner:
         for i, parameter in enumerate(self.theta):
             parameter.data.copy_(torch.from_numpy(arrays[f"theta_{i}"]))
             self.target[i].copy_(torch.from_numpy(arrays[f"target_{i}"]))
-            begins = f"adam_{i}_"
-            kept = {name[len(begins) :]: array for name, array in arrays.items() if name.startswith(begins)}
-            self.adam.state[parameter] = {name: torch.from_numpy(array.copy()) for name, array in kept.items()}
+            for name, kept in self.adam.memory(i).items():  # none of it is on record before the first update
+                kept.copy_(torch.from_numpy(arrays[f"adam_{i}_{name}"]) if updates else torch.zeros(()))
 
 
 @dataclass
