@@ -134,8 +134,12 @@ def ratio_estimates(
     middle = mean if centre is None else centre.reshape(-1)
     shape = replicas.shape[1:]
     plain = np.concatenate([mean[None], mean - deviation / (G - 1), middle[None]]).reshape(-1, *shape)
-    noise = _rotations(G) @ (deviation / np.sqrt(G - 1.0))
-    drawn = np.concatenate([middle + noise, middle - noise]).reshape(-1, *shape)
+    rotations = _rotations(G)
+    drawn = np.empty((2, len(rotations), flat.shape[1]))
+    noise = np.matmul(rotations, deviation / np.sqrt(G - 1.0), out=drawn[0])
+    np.subtract(middle, noise, out=drawn[1])
+    noise += middle
+    drawn = drawn.reshape(-1, *shape)
     return {name: _estimate(ratio, plain, drawn, truncation, hidden) for name, ratio in ratios.items()}
 
 

@@ -268,17 +268,31 @@ class CellField(Field):
         sends all its light, Lambertian, from its top. A chip's width and light from lower down stay below that.
         """
         tally = _tally(bins, histories)
+        if folded:
+            return cls.from_quarter(_quarter(tally), histories, spacing_um, height_um, modes)
+        return cls._of(tally, histories, spacing_um, height_um, modes, folded=False)
+
+    @classmethod
+    def from_quarter(
+        cls, bins: ArrayLike, histories: int, spacing_um: float, height_um: float, modes: int | None = None
+    ) -> Self:
+        """`from_bins` of a cell that equals its mirror images: bins (group, n / 2, n / 2) with x and y above 0."""
+        return cls._of(_tally(bins, histories), histories, spacing_um, height_um, modes, folded=True)
+
+    @classmethod
+    def _of(
+        cls, tally: Real, histories: int, spacing_um: float, height_um: float, modes: int | None, *, folded: bool
+    ) -> Self:
+        """The field of checked bins: of the whole cell, or folded, of its quarter."""
         if tally.shape[1] != tally.shape[2]:
             raise InputError("bins", tally.shape, "(group, n, n)", "as many rows as columns over the cell")
         M = mode_count(height_um, spacing_um) if modes is None else modes
         _lengths(height_um=height_um, spacing_um=spacing_um)
         if M < 1:
             raise InputError("modes", M, "1 or more", "leave it out to have it follow the design")
-        scale = tally[0].size / histories
-        if folded:
-            tally, axis = _quarter(tally), Axis(0.0, spacing_um / 2.0, M, "even")
-        else:
-            axis = Axis(-spacing_um / 2.0, spacing_um, M, "periodic")
+        half = spacing_um / 2.0
+        axis = Axis(0.0, half, M, "even") if folded else Axis(-half, spacing_um, M, "periodic")
+        scale = tally[0].size * (4 if folded else 1) / histories
         k = axis.wavenumber_per_um
         kept = np.add.outer(k**2, k**2) <= (2.0 * np.pi * (M + 0.5) / spacing_um) ** 2
         coefficients = _coefficients(tally, axis, axis, kept * scale)

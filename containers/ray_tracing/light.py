@@ -39,10 +39,9 @@ def light_of(tally: Tally, scene: Scene) -> Field:
         return replace(field, coefficients=_weighed(field, _share_of_first(field)))
     spacing, height = scene.layout.spacing_um, scene.height_um
     modes = max(FEWEST_MODES, round(MORE_MODES * mode_count(height, spacing)))
-    first, later = (
-        CellField.from_bins(tally.cell_bins(layer), tally.histories, spacing, height, modes, folded=tally.box.folded)
-        for layer in (FIRST, LATER)
-    )
+    make = CellField.from_quarter if tally.box.folded else CellField.from_bins
+    bins = tally.quarter_bins if tally.box.folded else tally.cell_bins
+    first, later = (make(bins(layer), tally.histories, spacing, height, modes) for layer in (FIRST, LATER))
     coefficients = _weighed(first, _share_of_first(first)) + _weighed(later, _share_of_later(later, scene))
     return replace(first, coefficients=coefficients)
 

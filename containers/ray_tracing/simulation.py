@@ -100,8 +100,7 @@ def simulate_scene(
         found = _twin(request, scene, source, progress, threads)
     else:
         solver = solver_of(request, scene, source, threads)
-        _solve(request, scene, solver, progress)
-        found = solved(scene, solver.tally)
+        found = _solve(request, scene, solver, progress)
     result, arrays = outcome(found, request.environment, request.map_bins)
     result |= {name: getattr(request, name) for name in ("method", "seed", "stored_exits")}
     result["warnings"] = [*warnings, *_left_out(result["metrics"]["uniformity"])]
@@ -209,18 +208,23 @@ def solver_of(request: RayRequest, scene: Scene, source: ExitSource, threads: in
     return solver_of_all(scene, solver, int(request.seed))
 
 
-def _solve(request: RayRequest, scene: Scene, solver: Solver, progress: Progress) -> None:
-    """Trace as many histories as the request says, or asks for by its target."""
+def _solve(request: RayRequest, scene: Scene, solver: Solver, progress: Progress) -> Solved:
+    """The receiver after as many histories as the request says, or asks for by its target."""
     if request.target_error_points is None:
         run_to_count(solver, request.histories or 0, progress)
-        return
-    target = Target(request.target_error_points / POINTS, request.budget_s)
-    run_to_error(solver, lambda tally: uniformity_error(scene, tally), target, progress)
+        return solved(scene, solver.tally)
+    looks: list[Solved] = []
+
+    def error_of(tally: Tally) -> float:
+        looks[:] = [solved(scene, tally)]  # the last look is the answer
+        return uniformity_error(looks[0])
+
+    run_to_error(solver, error_of, Target(request.target_error_points / POINTS, request.budget_s), progress)
+    return looks[0]
 
 
-def uniformity_error(scene: Scene, tally: Tally) -> float:
+def uniformity_error(found: Solved) -> float:
     """Standard error of U (Eq. 8), infinity where there are too few histories to tell."""
-    found = solved(scene, tally)
     try:
         return uniformity(found.field, found.region).standard_error
     except InputError as error:

@@ -144,9 +144,18 @@ class Tally:
         bins = self.bins.sum(axis=1) if layer is None else self.bins[:, layer]
         if not self.box.folded:
             return np.asarray(bins)
-        quarter = (bins + bins.swapaxes(1, 2)) / 8.0
+        quarter = _unfolded(bins)
         half = np.concatenate([quarter[:, ::-1], quarter], axis=1)
         return np.concatenate([half[:, :, ::-1], half], axis=2)
+
+    def quarter_bins(self, layer: int) -> Real:
+        """(group, y, x): those of `cell_bins` with x and y above 0, of folded bins."""
+        return _unfolded(self.bins[:, layer])
+
+
+def _unfolded(bins: Real) -> Real:
+    """The light of one quadrant (group, y, x), of bins into which eight octants were folded."""
+    return np.asarray((bins + bins.swapaxes(1, 2)) / 8.0)
 
 
 def _widest_um(height_um: float) -> float:

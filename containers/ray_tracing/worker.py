@@ -23,7 +23,7 @@ from luxloop.design import Design
 from luxloop.errors import InputError, RemoteError
 from luxloop.failure import Failure
 from luxloop.film import Grid, Spectrum
-from luxloop.model import Environment
+from luxloop.model import Environment, Surface
 from luxloop.process import usable_cores
 from luxloop.ray import KIND, ChipArray, EffectsRequest, Film, Module, PredictionRequest, RayRequest
 from luxloop.words import parse
@@ -112,23 +112,23 @@ class RayComputation:
 
 
 def warm_up(source: ExitSource, threads: int | None = None) -> None:
-    """Compile all kernels that a request can come to, or load what was compiled before."""
-    environment = Environment()
+    """Compile all kernels that a request can come to, or load what was compiled before.
+
+    Kernels know no surface: Lambert's are used, of which no tables are made.
+    """
+    environment = Environment(substrate=Surface(scatter="lambertian", reflectance=0.5))
     design = Design(distance_um=100.0, width_um=50.0, spacing_um=300.0, thickness_um=20.0, dbr_pairs=0.5)
     line = Spectrum(peak_nm=environment.peak_nm, fwhm_nm=environment.fwhm_nm)
     film = film_table(dbr_of(environment, design.dbr_pairs), line, Grid(wavelengths=11, tolerance_ratio=1.0))
-    cell = RayRequest(
-        environment=environment,
-        design=design,
-        histories=1,
-        far_field=True,
-        exit_histories=1,
-        images=(Camera(rows=8, columns=8, distortion=0.01, psf_um=8.0, glare=0.01),),
-    )
-    array = cell.model_copy(update={"array": ChipArray(rows=1, columns=1, wall_reflectance=0.5)})
-    twin = cell.model_copy(update={"method": "twin", "far_field": False})
-    for request in (cell, array, cell.model_copy(update={"stored_exits": True}), twin):
-        simulate(request, film, source, Progress(), threads)
+    cell = RayRequest(environment=environment, design=design, histories=1, exit_histories=1)
+    camera = Camera(rows=8, columns=8, distortion=0.01, psf_um=8.0, glare=0.01)
+    for changed in (
+        {"far_field": True, "images": (camera,)},
+        {"array": ChipArray(rows=1, columns=1, wall_reflectance=0.5)},
+        {"stored_exits": True},
+        {"method": "twin"},
+    ):
+        simulate(cell.model_copy(update=changed), film, source, Progress(), threads)
 
 
 def wanted_threads() -> int:
