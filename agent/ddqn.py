@@ -116,7 +116,8 @@ def _torch() -> ModuleType:
     import torch
 
     torch.set_num_threads(1)
-    torch.set_deterministic_debug_mode("error")  # `use_deterministic_algorithms` also imports the compiler, for 1.7 s
+    # the same switch as `use_deterministic_algorithms`, which in torch 2.13 also imports the compiler
+    torch.set_deterministic_debug_mode("error")
     # memory is never read before it is written here, and filling it costs half of an update again
     deterministic: Any = torch.utils.deterministic  # its properties are made at run time
     deterministic.fill_uninitialized_memory = False
@@ -157,19 +158,19 @@ def act(weights: list[NDArray[np.float32]], state: NDArray[np.float32]) -> NDArr
 
 
 class Adam:
-    """torch's Adam by its function: the class imports torch's compiler first, 1.7 s of each process that learns."""
+    """torch's fused Adam by its function: the class imports torch's compiler, 1.5 s of a process that learns."""
 
     def __init__(self, weights: list[torch.Tensor], rate: float) -> None:
         torch = _torch()
         self.weights, self.rate = weights, rate
-        self.step_count = [torch.zeros(()) for _ in weights]
+        self.step_count = [torch.zeros((), dtype=torch.float32) for _ in weights]
         self.mean, self.square = ([torch.zeros_like(weight) for weight in weights] for _ in range(2))
 
     def step(self) -> None:
-        """Move the weights by their gradients, and let go of these."""
+        """Move the weights by their gradients, which all of them have, and let go of these."""
         from torch.optim.adam import adam
 
-        slopes = [weight.grad for weight in self.weights if weight.grad is not None]
+        slopes = [weight.grad for weight in self.weights if weight.grad is not None]  # a type checker's question
         with _torch().no_grad():
             adam(
                 self.weights, slopes, self.mean, self.square, [], self.step_count, fused=True,
@@ -228,7 +229,8 @@ class Learner:
         arrays = {"loss": np.array(np.nan if self.loss is None else float(self.loss), np.float32)}
         for i, (parameter, copy) in enumerate(zip(self.theta, self.target, strict=True)):
             arrays |= {f"theta_{i}": parameter.detach().numpy().copy(), f"target_{i}": copy.numpy().copy()}
-            arrays |= {f"adam_{i}_{name}": kept.numpy().copy() for name, kept in self.adam.memory(i).items()}
+            if self.updates:
+                arrays |= {f"adam_{i}_{name}": kept.numpy().copy() for name, kept in self.adam.memory(i).items()}
         return arrays
 
     def restore(self, arrays: dict[str, NDArray[Any]], updates: int) -> None:

@@ -127,9 +127,7 @@ def mean_of(scene: Scene, tally: Tally) -> tuple[float, float]:
 
 def to_error(solver: Solver, scene: Scene, points: float, budget_s: float = BUDGET_S) -> Estimate:
     """U once its standard error is at most `points` (0.01 of U), by the worker's own stopping rule."""
-    run_to_error(
-        solver, lambda tally: uniformity_error(solved(scene, tally)), Target(points / POINTS, budget_s), Progress()
-    )
+    run_to_error(solver, lambda tally: uniformity_error(scene, tally), Target(points / POINTS, budget_s), Progress())
     return uniformity_of(scene, solver.tally)
 
 

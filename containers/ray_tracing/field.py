@@ -267,25 +267,22 @@ class CellField(Field):
         sign in both directions: what they would add if all were in phase, as they are above a point-like chip that
         sends all its light, Lambertian, from its top. A chip's width and light from lower down stay below that.
         """
-        tally = _tally(bins, histories)
-        if folded:
-            return cls.from_quarter(_quarter(tally), histories, spacing_um, height_um, modes)
-        return cls._of(tally, histories, spacing_um, height_um, modes, folded=False)
+        tally = _square(_tally(bins, histories))
+        tally = _quarter(tally) if folded else tally
+        return cls._of(tally, histories, spacing_um, height_um, modes, folded=folded)
 
     @classmethod
     def from_quarter(
         cls, bins: ArrayLike, histories: int, spacing_um: float, height_um: float, modes: int | None = None
     ) -> Self:
         """`from_bins` of a cell that equals its mirror images: bins (group, n / 2, n / 2) with x and y above 0."""
-        return cls._of(_tally(bins, histories), histories, spacing_um, height_um, modes, folded=True)
+        return cls._of(_square(_tally(bins, histories)), histories, spacing_um, height_um, modes, folded=True)
 
     @classmethod
     def _of(
         cls, tally: Real, histories: int, spacing_um: float, height_um: float, modes: int | None, *, folded: bool
     ) -> Self:
         """The field of checked bins: of the whole cell, or folded, of its quarter."""
-        if tally.shape[1] != tally.shape[2]:
-            raise InputError("bins", tally.shape, "(group, n, n)", "as many rows as columns over the cell")
         M = mode_count(height_um, spacing_um) if modes is None else modes
         _lengths(height_um=height_um, spacing_um=spacing_um)
         if M < 1:
@@ -400,6 +397,13 @@ def _tally(bins: ArrayLike, histories: float) -> Real:
         raise InputError("bins", "nan or infinite", "finite sums of weights", "the trace that filled them is broken")
     if histories <= 0:
         raise InputError("histories", histories, "1 or more histories a group", "trace some light first")
+    return tally
+
+
+def _square(tally: Real) -> Real:
+    """A tally (group, n, n), checked."""
+    if tally.shape[1] != tally.shape[2]:
+        raise InputError("bins", tally.shape, "(group, n, n)", "as many rows as columns over the cell")
     return tally
 
 

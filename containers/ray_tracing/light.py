@@ -20,7 +20,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from containers.ray_tracing.field import Axis, CellField, Field, ModuleField, lambert_transform, mode_count
+from containers.ray_tracing.field import Axis, Field, ModuleField, lambert_transform, mode_count
 from containers.ray_tracing.tally import FIRST, LATER, Tally
 from containers.scene import Array, Scene
 
@@ -39,9 +39,7 @@ def light_of(tally: Tally, scene: Scene) -> Field:
         return replace(field, coefficients=_weighed(field, _share_of_first(field)))
     spacing, height = scene.layout.spacing_um, scene.height_um
     modes = max(FEWEST_MODES, round(MORE_MODES * mode_count(height, spacing)))
-    make = CellField.from_quarter if tally.box.folded else CellField.from_bins
-    bins = tally.quarter_bins if tally.box.folded else tally.cell_bins
-    first, later = (make(bins(layer), tally.histories, spacing, height, modes) for layer in (FIRST, LATER))
+    first, later = (tally.cell_field(layer, spacing, height, modes) for layer in (FIRST, LATER))
     coefficients = _weighed(first, _share_of_first(first)) + _weighed(later, _share_of_later(later, scene))
     return replace(first, coefficients=coefficients)
 

@@ -213,24 +213,19 @@ def _solve(request: RayRequest, scene: Scene, solver: Solver, progress: Progress
     if request.target_error_points is None:
         run_to_count(solver, request.histories or 0, progress)
         return solved(scene, solver.tally)
-    looks: list[Solved] = []
-
-    def error_of(tally: Tally) -> float:
-        looks[:] = [solved(scene, tally)]  # the last look is the answer
-        return uniformity_error(looks[0])
-
-    run_to_error(solver, error_of, Target(request.target_error_points / POINTS, request.budget_s), progress)
-    return looks[0]
+    target = Target(request.target_error_points / POINTS, request.budget_s)
+    return run_to_error(solver, lambda tally: uniformity_error(scene, tally), target, progress)
 
 
-def uniformity_error(found: Solved) -> float:
-    """Standard error of U (Eq. 8), infinity where there are too few histories to tell."""
+def uniformity_error(scene: Scene, tally: Tally) -> tuple[float, Solved]:
+    """Standard error of U (Eq. 8), infinity where there are too few histories to tell; and the receiver it is of."""
+    found = solved(scene, tally)
     try:
-        return uniformity(found.field, found.region).standard_error
+        return uniformity(found.field, found.region).standard_error, found
     except InputError as error:
         if error.field != "histories":
             raise
-        return inf
+        return inf, found
 
 
 def _exits(

@@ -16,12 +16,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from math import ceil, floor, inf, log10, sqrt
 from time import perf_counter
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 from containers.ray_tracing.monte_carlo import BLOCK, blocks_of
 from containers.ray_tracing.tally import Tally
 from luxloop.computation import Progress
 from luxloop.errors import InputError
+
+Found = TypeVar("Found")
 
 FIRST_BLOCKS = 4
 MARGIN = 1.05
@@ -55,12 +57,14 @@ def run_to_count(solver: Solver, histories: int, progress: Progress) -> None:
     solver.run_to(each, lambda share: progress.report(share, _note(each * solver.tally.groups)))
 
 
-def run_to_error(solver: Solver, error_of: Callable[[Tally], float], target: Target, progress: Progress) -> None:
-    """Trace until `error_of` the tally is at most the target's error.
+def run_to_error(
+    solver: Solver, look: Callable[[Tally], tuple[float, Found]], target: Target, progress: Progress
+) -> Found:
+    """What a look at the tally finds once its error is at most the target's; traces until then.
 
     Parameters
     ----------
-    error_of : standard error of what is wanted; infinity where the histories are too few to tell.
+    look : standard error of what is wanted, infinity where the histories are too few to tell, and what it is of.
 
     Raises
     ------
@@ -72,9 +76,10 @@ def run_to_error(solver: Solver, error_of: Callable[[Tally], float], target: Tar
     while True:
         done, note = solver.tally.histories / BLOCK, _note(blocks * BLOCK * solver.tally.groups)
         solver.run_to(blocks * BLOCK, lambda share: progress.report((done + share * (blocks - done)) / wanted, note))  # noqa: B023  # called in this pass only
-        error = error_of(solver.tally)
+        error, found = look(solver.tally)
         if error <= target.error:
-            return
+            return found
+        del found  # it may be large, and tracing goes on
         wanted = blocks * (error / target.error) ** 2 * MARGIN
         took_s = perf_counter() - begin_s
         _refuse_over_budget(target, error, took_s, took_s * wanted / blocks, 1.0 if pilot else OVERRUN)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from containers.ray_tracing.arrays import ENDS, Sinks
-from containers.ray_tracing.field import CUTOFF_X, TAPER_END, mode_count
+from containers.ray_tracing.field import CUTOFF_X, TAPER_END, CellField, mode_count
 from containers.scene import Array, Scene
 from luxloop.errors import InputError
 
@@ -148,9 +148,13 @@ class Tally:
         half = np.concatenate([quarter[:, ::-1], quarter], axis=1)
         return np.concatenate([half[:, :, ::-1], half], axis=2)
 
-    def quarter_bins(self, layer: int) -> Real:
-        """(group, y, x): those of `cell_bins` with x and y above 0, of folded bins."""
-        return _unfolded(self.bins[:, layer])
+    def cell_field(self, layer: int, spacing_um: float, height_um: float, modes: int | None = None) -> CellField:
+        """The light of one layer of a cell, or of what repeats as one does, `spacing_um` wide."""
+        if self.box.folded:
+            return CellField.from_quarter(
+                _unfolded(self.bins[:, layer]), self.histories, spacing_um, height_um, modes
+            )
+        return CellField.from_bins(self.bins[:, layer], self.histories, spacing_um, height_um, modes)
 
 
 def _unfolded(bins: Real) -> Real:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import copy
+import subprocess
+import sys
 import time
 
 import numpy as np
@@ -82,6 +84,46 @@ def test_an_update_lowers_the_loss_and_the_target_follows_by_its_period() -> Non
     assert torch.equal(learner.target[0], begin)
     learner.update()
     assert all(torch.equal(a, b) for a, b in zip(learner.target, learner.theta, strict=True))
+
+
+def test_weights_move_as_by_the_class_of_torch() -> None:
+    """Twenty updates of a minibatch leave the same bits as torch.optim.Adam, fused."""
+    learner, random = Learner(Learning(batch=8, target_period=1000), 10, seed=1), np.random.default_rng(1)
+    learner.batch.state[:], learner.batch.reward[:] = random.uniform(-1, 1, (8, 5)), random.normal(size=(8, 1))
+    learner.batch.allowed[:] = True
+    twin = copy.deepcopy(learner)
+    adam = torch.optim.Adam(twin.theta, lr=twin.learning.learning_rate, fused=True)
+    twin.adam.step = adam.step  # type: ignore[method-assign]
+    for _ in range(20):
+        learner.update()
+        twin.update()
+        adam.zero_grad()
+    assert all(torch.equal(a, b) for a, b in zip(learner.theta, twin.theta, strict=True))
+    memory = [adam.state[parameter]["exp_avg_sq"] for parameter in twin.theta]
+    assert all(torch.equal(learner.adam.memory(i)["exp_avg_sq"], theirs) for i, theirs in enumerate(memory))
+
+
+def test_a_learner_that_goes_back_to_its_beginning_remembers_nothing() -> None:
+    """What was learnt is gone where no update is on record: the next one is the first one's."""
+    learner = Learner(Learning(batch=4), 10, seed=1)
+    learner.batch.reward[:], learner.batch.allowed[:] = 0.5, True
+    begin = learner.state()
+    assert not [name for name in begin if name.startswith("adam")]
+    learner.update()
+    first = learner.weights()
+    learner.restore(begin, 0)
+    learner.update()
+    assert all(np.array_equal(a, b) for a, b in zip(first, learner.weights(), strict=True))
+
+
+def test_learning_does_not_import_the_compiler() -> None:
+    """Which would take longer than all else that a designer's process does at its start."""
+    code = (
+        "import sys\nfrom agent.ddqn import PRESETS, Learner\nlearner = Learner(PRESETS['fast'], 40, seed=1)\n"
+        "learner.update()\nprint('torch' in sys.modules, 'torch._dynamo' in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["True", "False"]
 
 
 def test_epsilon_falls_evenly_and_stays() -> None:

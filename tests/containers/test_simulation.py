@@ -460,7 +460,7 @@ def test_stopping_by_a_noisy_error_keeps_intervals_honest(harder: float) -> None
     held, blocks = 0, []
     for _ in range(1000):
         solver = Noise(random)
-        run_to_error(solver, _error, target, Progress())
+        run_to_error(solver, lambda tally: (_error(tally), None), target, Progress())
         held += abs(solver.tally.means.mean()) <= student_t(0.95, GROUPS - 1) * _error(solver.tally)
         blocks.append(solver.tally.histories / BLOCK)
     assert 0.92 <= held / 1000 <= 0.98

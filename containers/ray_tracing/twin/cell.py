@@ -62,9 +62,7 @@ def cell_field(
     tally = direct_light(way, emission, exits, seed, blocks=blocks, threads=threads)
 
     def field_of(layer: int) -> CellField:
-        return CellField.from_bins(
-            tally.cell_bins(layer), tally.histories, spacing, scene.height_um, folded=tally.box.folded
-        )
+        return tally.cell_field(layer, spacing, scene.height_um)
 
     arrives = field_of(ARRIVES)
     window = cloud_window(arrives.x, tally.box.step_um), cloud_window(arrives.y, tally.box.step_um)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from containers.ray_tracing.arrays import EmissionArrays
 from containers.ray_tracing.exits import Exits
-from containers.ray_tracing.field import CUTOFF_X, TAPER_END, Axis, CellField, ModuleField
+from containers.ray_tracing.field import CUTOFF_X, TAPER_END, Axis, ModuleField
 from containers.ray_tracing.packing import emission_arrays
 from containers.ray_tracing.tally import Box, Tally
 from containers.ray_tracing.twin.cell import SEED, cloud_window
@@ -231,12 +231,8 @@ def one_chip(scene: Scene, tally: Tally) -> ChipMap:
     bins = box.columns if box.folded else box.columns // 2
     reach = bins * box.step_um
     modes = min(int(TAPER_END * CUTOFF_X / scene.height_um * reach / np.pi), bins - 1)
-    fields = [
-        CellField.from_bins(
-            tally.cell_bins(layer), tally.histories, 2.0 * reach, scene.height_um, modes, folded=box.folded
-        )
-        for layer in range(tally.bins.shape[1])
-    ]
+    layers = range(tally.bins.shape[1])
+    fields = [tally.cell_field(layer, 2.0 * reach, scene.height_um, modes) for layer in layers]
     x, y = fields[0].x, fields[0].y
     k = np.hypot(*np.meshgrid(y.wavenumber_per_um, x.wavenumber_per_um, indexing="ij"))
     fade = np.cos(np.pi / 2.0 * np.clip((k * scene.height_um / CUTOFF_X - 1.0) / (TAPER_END - 1.0), 0.0, 1.0)) ** 2
