@@ -22,7 +22,7 @@ from containers.ray_tracing.estimate import Estimate
 from containers.ray_tracing.exits import Exits, Landing
 from containers.ray_tracing.monte_carlo import MonteCarlo
 from containers.ray_tracing.outcome import solved
-from containers.ray_tracing.simulation import uniformity_error
+from containers.ray_tracing.simulation import look
 from containers.ray_tracing.stopping import POINTS, Solver, Target, run_to_error
 from containers.ray_tracing.tally import Box, Tally
 from containers.ray_tracing.uniformity import uniformity
@@ -127,7 +127,7 @@ def mean_of(scene: Scene, tally: Tally) -> tuple[float, float]:
 
 def to_error(solver: Solver, scene: Scene, points: float, budget_s: float = BUDGET_S) -> Estimate:
     """U once its standard error is at most `points` (0.01 of U), by the worker's own stopping rule."""
-    run_to_error(solver, lambda tally: uniformity_error(scene, tally), Target(points / POINTS, budget_s), Progress())
+    run_to_error(solver, lambda tally: look(scene, tally), Target(points / POINTS, budget_s), Progress())
     return uniformity_of(scene, solver.tally)
 
 

@@ -2,8 +2,8 @@
 
     python benchmarks/process_starts.py
 
-Each row is the least of several fresh processes. The designer is ready after its first update; beside it stands the
-same with torch's own class of Adam and its own switch for deterministic kernels, which import torch's compiler.
+Each row is the least of several fresh processes. The designer is ready after its first update; beside it stands a
+single step by torch's own class of Adam and its own switch for deterministic kernels, which import torch's compiler.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ PROCESSES = {
     "ray-tracing worker, warm": RAYS,
     "torch alone": "import torch",
     "designer, after its first update": LEARN + "learner.update()",
-    "the same by torch.optim.Adam": PEER,
+    "a step of torch.optim.Adam": PEER,
 }
 """What each process does, by name."""
 

@@ -214,10 +214,10 @@ def _solve(request: RayRequest, scene: Scene, solver: Solver, progress: Progress
         run_to_count(solver, request.histories or 0, progress)
         return solved(scene, solver.tally)
     target = Target(request.target_error_points / POINTS, request.budget_s)
-    return run_to_error(solver, lambda tally: uniformity_error(scene, tally), target, progress)
+    return run_to_error(solver, lambda tally: look(scene, tally), target, progress)
 
 
-def uniformity_error(scene: Scene, tally: Tally) -> tuple[float, Solved]:
+def look(scene: Scene, tally: Tally) -> tuple[float, Solved]:
     """Standard error of U (Eq. 8), infinity where there are too few histories to tell; and the receiver it is of."""
     found = solved(scene, tally)
     try:

@@ -12,8 +12,9 @@ import pytest
 
 from containers.bsdf import Lambertian, Mirror
 from containers.ray_tracing.build import cell_of, scene_of
+from containers.ray_tracing.field import CellField
 from containers.ray_tracing.monte_carlo import BLOCK, MonteCarlo, blocks_of
-from containers.ray_tracing.tally import Tally
+from containers.ray_tracing.tally import FIRST, LATER, Tally
 from containers.scene import Array, Emission, Scene, lambertian_receiver
 from containers.thin_film.table import film_table
 from luxloop.design import Design
@@ -259,6 +260,21 @@ def test_the_folded_map_is_the_whole_map() -> None:
         assert abs(mean) < 4.0 * error
     difference, error = mean_and_error(mode(whole, 1, 0) - mode(whole, 0, 1))
     assert abs(difference) < 4.0 * error
+
+
+@pytest.mark.parametrize("layer", [FIRST, LATER])
+def test_the_field_of_folded_bins_is_that_of_the_cell_that_they_are_of(layer: int) -> None:
+    """By octants, and by all bins of the cell with sines and cosines: the same maps, means and errors, to 1e-12."""
+    of = scene()
+    spacing = 2.0 * MonteCarlo(of, 2).tally.box.ends_um[1]
+    tally = MonteCarlo(of, 2).run_to(4096)
+    assert tally.box.folded
+    folded = tally.cell_field(layer, spacing, of.height_um)
+    whole = CellField.from_bins(tally.cell_bins(layer), tally.histories, spacing, of.height_um)
+    x, y = np.linspace(-spacing / 2.0, spacing / 2.0, 17), np.linspace(-spacing, spacing, 7)
+    np.testing.assert_allclose(folded.grid(x, y), whole.grid(x, y), rtol=1e-12, atol=1e-12)
+    assert (folded.mean, folded.mean_error) == pytest.approx((whole.mean, whole.mean_error), rel=1e-10)
+    assert folded.spacing_um == pytest.approx(whole.spacing_um)
 
 
 def test_light_born_on_one_side_leans_that_way() -> None:
