@@ -24,7 +24,8 @@ from luxloop.model_file import find_model
 from luxloop.settings import load_settings
 from validation.comparing import Solver
 from validation.dataset.folder import read_dataset
-from validation.dataset.simulate import exposed, views_of, write_dataset
+from validation.dataset.simulate import write_dataset
+from validation.dataset.simulated_images import exposed, views_of
 from validation.dataset.simulation_plan import Plan, read_plan
 from validation.diagnose.score import Projected
 from validation.diagnosing import Diagnosing

@@ -27,8 +27,8 @@ from luxloop.model import Environment, Model
 from luxloop.model_file import find_model
 from validation.blind import Camera, Pose, Sample, Surroundings, light
 from validation.blind_test.making import HISTORIES
-from validation.dataset.simulate import DECLARED, PEAK_SHARE, views_of
-from validation.dataset.simulation_plan import paper_plan
+from validation.dataset.simulated_images import PEAK_SHARE, views_of
+from validation.dataset.simulation_plan import DECLARED, paper_plan
 from validation.noise import variance_dn2
 
 Real = NDArray[np.float64]

@@ -41,7 +41,8 @@ from validation.comparing import Solver
 from validation.contrasts.null import Variances, null
 from validation.contrasts.structure import fit_layout, judged
 from validation.dataset.manifest import CameraFacts, ImageShot, Sample
-from validation.dataset.simulate import DECLARED, expected_images, paper_plan, views_of
+from validation.dataset.simulated_images import expected_images, views_of
+from validation.dataset.simulation_plan import DECLARED, paper_plan
 from validation.diagnose.explanation import LEVEL
 from validation.diagnose.score import Projected, scores
 from validation.diagnose.verdict import is_visible

@@ -31,7 +31,8 @@ from luxloop.settings import load_settings
 from validation.comparing import Solver
 from validation.dataset.folder import read_dataset
 from validation.dataset.manifest import CameraFacts, Sample
-from validation.dataset.simulate import Expected, expected_images, exposed, views_of, write_dataset
+from validation.dataset.simulate import write_dataset
+from validation.dataset.simulated_images import Expected, expected_images, exposed, views_of
 from validation.dataset.simulation_plan import paper_plan
 from validation.diagnose.next_measurement import Proposal
 from validation.diagnose.rounds import Diagnosis

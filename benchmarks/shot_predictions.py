@@ -20,7 +20,8 @@ import numpy as np
 from benchmarks.processes import THIN_FILM, Processes, table
 from luxloop.model import Model
 from luxloop.model_file import find_model
-from validation.dataset.simulate import expected_images, paper_plan, views_of
+from validation.dataset.simulated_images import expected_images, views_of
+from validation.dataset.simulation_plan import paper_plan
 from validation.noise import variance_dn2
 from validation.prediction import POSE_COLUMNS, Anchored, Predicted, Predictor, View
 

@@ -193,7 +193,8 @@ class Stopped:
             noise += np.sqrt(blocks - done) * sd * rng.standard_normal(noise.shape)
             done = blocks
             first, later = (self.field((self.modes + noise / done)[:, layer]) for layer in (0, 1))
-            light = _weighed(first, _share_of_first(first)) + _weighed(later, _share_of_later(later, self.scene))
+            shares = _share_of_first(first), _share_of_later(later, self.scene)
+            light = sum(_weighed(one, share, share) for one, share in zip((first, later), shares, strict=True))
             found = replace(first, coefficients=light, tallied_variance=first.tallied_variance if aware else None)
             one = uniformity(found, self.region)
             if one.standard_error <= target:

@@ -84,6 +84,13 @@ def draw(
     return total / frames
 
 
+def histories_for(share: float, histories: int, now: float) -> int:
+    """Histories that bring noise, `now` with so many, down to a share of the camera's; rounded up to two digits."""
+    needed = histories * (now / share) ** 2
+    digit = 10.0 ** np.floor(np.log10(needed) - 1.0) if needed > 0.0 else 1.0
+    return int(np.ceil(needed / digit) * digit)
+
+
 def _frame(electrons: Real, camera: CameraFacts, random: np.random.Generator) -> Real:
     """Raw numbers of one frame for the expected electrons of each pixel."""
     collected = np.minimum(random.poisson(electrons), camera.full_well_e)

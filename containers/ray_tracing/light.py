@@ -10,7 +10,9 @@ Light that comes back from above is smooth: mode k of it has gone the way receiv
 of its mean, or misses where chips stand, (W/S)^2 of what first light may show. That is the prior of its weights.
 
 A mode with weight w keeps w of its mean; its groups keep sqrt(w) of their spread, for its error is then that of the
-noise that was kept and of the light that may have been lost together. So every later estimate has an honest error.
+noise that was kept and of the light that may have been lost together. Of a module, whose mirror images leave a mode
+few neighbours, the weights themselves err: there the groups keep what Stein's estimate says (decision 68). So every
+later estimate has an honest error.
 """
 
 from __future__ import annotations
@@ -30,18 +32,21 @@ FEWEST_MODES, MORE_MODES = 10, 1.5
 """Modes of first light: at least these, and this much more than the rule for a Lambertian point."""
 CAUTION = 0.3
 """Power over noise that a neighbourhood of pure noise often has; it counts as noise."""
+WIDELY = 4
+"""How far around a mode of a module errors are averaged: 25 modes of all where mirror images leave one in four."""
 
 
 def light_of(tally: Tally, scene: Scene) -> Field:
     """The field of a tally: of a cell in relative illuminance, of a module in 1/mm^2 per flux of a nominal chip."""
     if isinstance(scene.layout, Array):
         field = unweighed(tally, scene)
-        return replace(field, coefficients=_weighed(field, _share_of_first(field)))
+        share = _share_of_first(field)
+        return replace(field, coefficients=_weighed(field, share, _error_over_noise(field, share)))
     spacing, height = scene.layout.spacing_um, scene.height_um
     modes = max(FEWEST_MODES, round(MORE_MODES * mode_count(height, spacing)))
     first, later = (tally.cell_field(layer, spacing, height, modes) for layer in (FIRST, LATER))
-    coefficients = _weighed(first, _share_of_first(first)) + _weighed(later, _share_of_later(later, scene))
-    return replace(first, coefficients=coefficients)
+    of_first, of_later = _share_of_first(first), _share_of_later(later, scene)
+    return replace(first, coefficients=_weighed(first, of_first, of_first) + _weighed(later, of_later, of_later))
 
 
 def unweighed(tally: Tally, scene: Scene) -> ModuleField:
@@ -54,10 +59,10 @@ def unweighed(tally: Tally, scene: Scene) -> ModuleField:
     return ModuleField.from_bins(tally.cell_bins(), histories, tally.box.ends_um, scene.height_um)
 
 
-def _weighed(field: Field, share: Real) -> Real:
-    """Coefficients whose mean is weighed by the share of light, their spread by its root."""
+def _weighed(field: Field, share: Real, error: Real) -> Real:
+    """Coefficients whose mean is weighed by the share of light; their spread is that of an error over noise."""
     mean = field.coefficients.mean(axis=0)
-    return np.asarray(mean * share + (field.coefficients - mean) * np.sqrt(share))
+    return np.asarray(mean * share + (field.coefficients - mean) * np.sqrt(error))
 
 
 def _share_of_first(field: Field) -> Real:
@@ -68,6 +73,24 @@ def _share_of_first(field: Field) -> Real:
     share = np.where(noise > 0.0, excess / (1.0 + excess), 0.0)
     share[0, 0] = 1.0
     return share
+
+
+def _error_over_noise(field: Field, share: Real) -> Real:
+    """(function along y, along x), squared error of the modes around each one, weighed as `_share_of_first` does.
+
+    Notes
+    -----
+    A mode m with noise v that becomes w m errs by v (2 d(w m)/dm - 1) + (1 - w)^2 m^2 on average, whatever light
+    there is: the noise that is kept, the light that is lost, and what w itself errs by (C. Stein, Ann. Stat. 9, 1135,
+    1981). With power P and noise N around the mode w = e / (1 + e) and e = P / N - 1 - `CAUTION`.
+    """
+    mean, noise = _mean_and_noise(field)
+    by_weight = 2.0 * mean**2 * (1.0 - share) ** 2 / np.maximum(_around(field, noise), 1e-300)
+    slope = np.where(share > 0.0, share + by_weight, 0.0)
+    error = noise * (2.0 * slope - 1.0) + ((1.0 - share) * mean) ** 2
+    found = _around(field, error, WIDELY) / np.maximum(_around(field, noise, WIDELY), 1e-300)
+    found[0, 0] = 1.0
+    return np.maximum(found, 0.0)
 
 
 def _share_of_later(field: Field, scene: Scene) -> Real:
@@ -87,16 +110,17 @@ def _mean_and_noise(field: Field) -> tuple[Real, Real]:
     return field.coefficients.mean(axis=0), field.coefficients.var(axis=0, ddof=1) / field.groups
 
 
-def _around(field: Field, power: Real) -> Real:
-    """Sum of each mode and its eight neighbours, cosines and sines each among themselves; the mean stays out."""
+def _around(field: Field, power: Real, reach: int = 1) -> Real:
+    """Sum of each mode and its neighbours, cosines and sines each among themselves; the mean stays out."""
+    near = range(2 * reach + 1)
     others = power.copy()
     others[0, 0] = 0.0
     found = np.zeros_like(power)
     for rows in _kinds(field.y):
         for columns in _kinds(field.x):
-            padded = np.pad(others[rows, columns], 1)
-            height, width = padded.shape[0] - 2, padded.shape[1] - 2
-            found[rows, columns] = sum(padded[i : i + height, j : j + width] for i in range(3) for j in range(3))
+            part = others[rows, columns]
+            (height, width), padded = part.shape, np.pad(part, reach)
+            found[rows, columns] = sum(padded[i : i + height, j : j + width] for i in near for j in near)
     return found
 
 

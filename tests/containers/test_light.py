@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from containers.ray_tracing.field import Axis, CellField
-from containers.ray_tracing.light import _around, _share_of_first, light_of
+from containers.ray_tracing.light import _around, _error_over_noise, _share_of_first, _weighed, light_of
 from containers.ray_tracing.monte_carlo import MonteCarlo
 from containers.scene import Emission
 from tests.ray_scenes import scene
@@ -46,6 +46,30 @@ def test_noise_counts_little_and_light_wholly(kind: str, functions: int) -> None
     assert shares[0, 0] == 1.0
     assert shares.ravel()[1:].mean() < 0.2
     assert _share_of_first(field_of(noise + 20.0 / np.sqrt(32), kind)).min() > 0.99
+
+
+@pytest.mark.parametrize("light", [0.0, 1.0, 3.0, 30.0])
+@pytest.mark.parametrize("step", [1, 2], ids=["all modes", "mirror images"])
+def test_weighed_modes_err_by_what_their_groups_say(light: float, step: int) -> None:
+    """On average over draws, whatever light there is: none, about the noise, above it; every other mode empty or not.
+
+    Light falls off with the mode; its signs and places are random. The root of the share would say too little.
+    """
+    modes = np.arange(40)
+    lit = (modes[:, None] % step == 0) & (modes % step == 0)
+    axis, draws, groups = Axis(0.0, 500.0, 39, "box"), 60, 32
+    truth = light * NOISE.standard_normal((40, 40)) * np.exp(-np.hypot(modes[:, None], modes) / 10.0) * lit
+    erred = told = by_share = 0.0
+    for _ in range(draws):
+        noise = np.sqrt(groups) * NOISE.standard_normal((groups, 40, 40)) * lit
+        field = CellField(truth + noise, axis, axis, 1000, 0.0, 1.0)
+        share = _share_of_first(field)
+        found = [_weighed(field, share, error) for error in (_error_over_noise(field, share), share)]
+        erred += float(np.sum((found[0].mean(axis=0) - truth) ** 2)) / draws
+        one, other = (float(np.sum(np.var(each, axis=0, ddof=1))) / groups / draws for each in found)
+        told, by_share = told + one, by_share + other
+    assert 0.9 * erred < told < 1.15 * erred + 0.05 * lit.sum()  # none is below 0, so it errs upwards
+    assert by_share < told
 
 
 def test_folding_changes_little_but_the_noise() -> None:

@@ -207,7 +207,7 @@ def weighed_fields(a: float, count: int, histories: float = 1e5) -> list[CellFie
         modes = truth + rng.standard_normal((GROUPS, 11, 11)) / np.sqrt(histories)
         tallied = CellField(modes, axis, axis, 1, 0.0, 1.0, modes.var(axis=0, ddof=1) / GROUPS)
         share = _share_of_first(tallied)
-        found.append(replace(tallied, coefficients=_weighed(tallied, share)))
+        found.append(replace(tallied, coefficients=_weighed(tallied, share, share)))
     return found
 
 

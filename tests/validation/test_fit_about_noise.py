@@ -33,7 +33,8 @@ from validation.fit.descent import crossed
 from validation.fit.least_squares import Step, reduce
 from validation.fit.model_noise import noise_shares
 from validation.fit.parameters import Unknowns
-from validation.fit.result import MOST_MODEL_NOISE, WANTED_NOISE, histories_for
+from validation.fit.result import MOST_MODEL_NOISE, WANTED_NOISE
+from validation.noise import histories_for
 from validation.prediction import Anchored, Pose, View
 
 

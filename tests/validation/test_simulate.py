@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import json
+import math
+import re
 import tomllib
 from collections.abc import Callable, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,21 +22,12 @@ from luxloop.model_file import find_model, read_model
 from tests.validation.workers import Workers
 from validation.dataset.checks import check
 from validation.dataset.folder import SUMS, read_dataset, read_sums, sha256_of_file
-from validation.dataset.simulate import (
-    DECLARED,
-    PART,
-    PEAK_SHARE,
-    Plan,
-    expected_images,
-    irradiances,
-    paper_plan,
-    read_plan,
-    simulate,
-    views_of,
-    write_dataset,
-)
+from validation.dataset.simulate import PART, simulate, write_dataset
+from validation.dataset.simulated_images import PEAK_SHARE, expected_images, light_of, told_noise, views_of
+from validation.dataset.simulation_plan import DECLARED, Plan, paper_plan, read_plan
 from validation.fit.problem import wrapped_deg
 from validation.measured import measured_far_fields, measured_images, measured_spectra
+from validation.noise import variance_dn2
 
 OXIDE = '[[films.layers]]\nmaterial = "SiO2"\nthickness_nm = 100.0\n'
 PLAN = """
@@ -138,7 +132,11 @@ def lit(workers: Workers, plan: Path) -> tuple[Plan, list[Any], list[Any]]:
     """The plan at 128 x 128 coarse pixels, its views, what they see."""
     chosen = read_plan(plan)
     views = views_of(chosen, 1, 64, 64)
-    return chosen, views, irradiances(workers, find_model("paper"), views, solver="twin")  # type: ignore[arg-type]
+    return (
+        chosen,
+        views,
+        [one.irradiance_per_mm2 for one in light_of(workers, find_model("paper"), views, solver="twin")],
+    )
 
 
 def test_spectra_and_far_fields_have_the_noise_that_was_asked_for(run: Run, tmp_path: Path) -> None:
@@ -202,6 +200,39 @@ def test_all_images_are_exposed_to_the_same_peak(lit: tuple[Plan, list[Any], lis
     assert min(one.exposure_ms for one in found) == 8.0
     small = DECLARED.model_copy(update={"full_well_e": 1e6})
     assert expected_images(views, light, small, 0.5)[0].signal_dn.max() == pytest.approx(0.5 * (4095 - 64), rel=1e-3)
+
+
+def test_what_the_light_itself_errs_by_is_told(run: Run, plan: Path, workers: Workers, tmp_path: Path) -> None:
+    """By sample, in the camera's noise: as far as two runs are apart. The histories that are asked for mend it."""
+    few = run(tmp_path / "few", "--solver", "monte_carlo", "--histories", 40_000, "--json")
+    own = json.loads(few.stdout)["images_own_noise"]
+    views = views_of(read_plan(plan), 1, 24, 24)
+    camera = DECLARED.model_copy(update={"pixel_um": 20.0})
+    views = [replace(view, pixel_um=20.0) for view in views]
+    seeds = [light_of(workers, find_model("paper"), views, histories=40_000, seed=seed) for seed in range(2, 18)]
+    for number, view in enumerate(views):
+        runs = [one[number].irradiance_per_mm2 for one in seeds]
+        (mean,) = expected_images([view], [np.mean(runs, axis=0)], camera)
+        apart_dn = mean.gain_dn * np.std(runs, axis=0, ddof=1)
+        seen = np.sqrt(np.mean(apart_dn**2 / variance_dn2(mean.signal_dn, camera)))
+        assert 0.9 < own[view.sample.id] / seen < 1.4  # it counts the light that may be lost, too
+
+
+def test_too_few_histories_are_told_with_how_many_would_do(run: Run, tmp_path: Path) -> None:
+    """Three sigma of all pixels together are left by so many; of fewer, and of the twin, nothing is told."""
+    options = ("--solver", "monte_carlo", "--histories", 40_000)
+    told = run(tmp_path / "few", *options).stdout
+    found = re.search(
+        r"errs by ([\d.]+) sigma .* by pixel ([\d.]+) \(one\) to ([\d.]+) \(four\) of.*--histories (\d+)", told
+    )
+    assert found is not None, told
+    sigma, one, four = map(float, found.groups()[:3])
+    assert sigma == pytest.approx(24 * math.hypot(one, four), rel=0.05)
+    assert int(found[4]) == pytest.approx(40_000 * (sigma / 3.0) ** 2, rel=0.2)
+    as_json = json.loads(run(tmp_path / "same", *options, "--json").stdout)
+    assert as_json["images_own_sigma"] == pytest.approx(sigma, rel=0.05)
+    assert list(told_noise({"one": 0.1, "four": 0.05}, 24**2, 40_000)) == []
+    assert "sigma" not in run(tmp_path / "twin").stdout
 
 
 def test_measured_images_scatter_about_the_expected_ones(

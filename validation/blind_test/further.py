@@ -28,7 +28,7 @@ from validation.dataset.images import read_tiff, write_tiff
 from validation.dataset.manifest import ImageShot, Sample
 from validation.dataset.manifest_file import MANIFEST
 from validation.dataset.manifest_file import to_toml as manifest_text
-from validation.dataset.simulate import expected_images, views_of
+from validation.dataset.simulated_images import expected_images, views_of
 from validation.dataset.simulation_plan import Plan
 from validation.diagnose.next_measurement import EXPOSURES
 

@@ -2,7 +2,7 @@
 
     model, samples --Monte Carlo or twin--> irradiance --exposure--> expected signal --EMVA 1288, seed--> raw images
 
-The expected signals are kept apart from the noise (`expected_images`, `write_dataset`), so that a study of coverage
+The expected signals (`simulated_images`) are kept apart from the noise (`write_dataset`), so that a study of coverage
 draws many data sets from one run of Monte Carlo.
 """
 
@@ -13,9 +13,8 @@ import shutil
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import typer
@@ -25,8 +24,8 @@ from luxloop.errors import InputError
 from luxloop.files import whole
 from luxloop.model_file import find_model, to_toml
 from validation.dataset.folder import write_sums
-from validation.dataset.images import Real, write_tiff
-from validation.dataset.manifest import CameraFacts, ImageShot, Manifest, Shot
+from validation.dataset.images import write_tiff
+from validation.dataset.manifest import ImageShot, Manifest, Shot
 from validation.dataset.manifest_file import MANIFEST
 from validation.dataset.manifest_file import to_toml as manifest_text
 from validation.dataset.simulated_curves import (
@@ -37,130 +36,30 @@ from validation.dataset.simulated_curves import (
     numbers_of,
     quantities_of,
 )
-from validation.dataset.simulation_plan import DECLARED as DECLARED  # studies take the camera from here
+from validation.dataset.simulated_images import (
+    HISTORIES,
+    PEAK_SHARE,
+    PIXELS,
+    Expected,
+    Solver,
+    exposed,
+    own_sigma,
+    told_noise,
+    views_of,
+)
 from validation.dataset.simulation_plan import Plan, paper_plan, read_plan, with_camera
 from validation.noise import draw
 
 if TYPE_CHECKING:
     from luxloop.model import Model
-    from validation.prediction import View
-    from validation.prediction.words import Asks
 
-Solver = Literal["monte_carlo", "twin"]
-
-PIXELS, PEAK_SHARE, HISTORIES = 128, 0.85, 16_000_000
-LONGEST_EXPOSURE_MS = 8.0
-"""Of the brightest image; the others are exposed so that their peak is as high."""
 PATIENCE_S = 300.0
 """A worker that starts for the first time compiles its kernels."""
-POSES = 2
-"""What a seed is drawn for, beside those of `validation.noise`."""
 MODEL_ERROR = 0.3
 """Of a far field, in its sigma: a truth with a larger error is seen by whoever compares it with the same model."""
 TRUTH, TRUTH_MODEL = "truth.toml", "truth-model.toml"
 PART = ".being-made"
 """In the folder of a data set, while it is simulated."""
-
-
-@dataclass(frozen=True, eq=False)
-class Expected:
-    """An image before its noise."""
-
-    view: View
-    irradiance_per_mm2: Real
-    """(row, column), per flux of a chip."""
-    signal_dn: Real
-    """(row, column), above black."""
-    exposure_ms: float
-
-
-def views_of(
-    plan: Plan, seed: int, rows: int = PIXELS, columns: int = PIXELS, shift_px: float = 0.0, rotation_deg: float = 0.0
-) -> list[View]:
-    """The camera before each sample, its centre chip in the middle but for a shift and a turn with these sds."""
-    from validation.prediction import Pose, View
-
-    drawn = np.random.default_rng((seed, POSES)).standard_normal((len(plan.samples), 3))
-    centre = ((rows - 1) / 2, (columns - 1) / 2)
-    return [
-        View(
-            sample, rows, columns, plan.camera.pixel_um, centre,
-            Pose((shift_px * float(row) + 0.0, shift_px * float(column) + 0.0), rotation_deg * float(turn) + 0.0),
-        )
-        for sample, (row, column, turn) in zip(plan.samples, drawn, strict=True)
-    ]  # fmt: skip
-
-
-def irradiances(
-    client: Asks,
-    model: Model,
-    views: Sequence[View],
-    *,
-    solver: Solver = "monte_carlo",
-    histories: int = HISTORIES,
-    seed: int = 1,
-    heard: Callable[[int, int], None] | None = None,
-) -> list[Real]:
-    """What each view sees, (row, column) in 1/mm^2 per flux of a chip; RemoteError with the first failure.
-
-    Parameters
-    ----------
-    histories : of Monte Carlo, for each view; each has random numbers of its own.
-    heard : told how many of how many are done.
-    """
-    from validation.prediction import Predictor
-
-    predictor = Predictor(client)
-    if solver == "twin":
-        return [one.irradiance_per_mm2 for one in predictor.images(model, views)]
-    return [one.irradiance_per_mm2 for one in predictor.monte_carlo(model, views, histories, seed, heard)]
-
-
-def expected_images(
-    views: Sequence[View], irradiance_per_mm2: Sequence[Real], camera: CameraFacts, peak_share: float = PEAK_SHARE
-) -> list[Expected]:
-    """The signals of a camera that is exposed so that the peak of each image is at a share of its full scale.
-
-    The gain per exposure is one for all images, so it is evidence too. InputError for a share outside 0 to 1, and for
-    an image without light.
-    """
-    if not 0.0 < peak_share <= 1.0:
-        raise InputError("peak_share", peak_share, "above 0 to 1", "0.85 leaves room for the noise")
-    full_dn = min(camera.full_scale_dn - camera.black_level_dn, camera.gain_dn_per_e * camera.full_well_e)
-    peaks = [float(one.max()) for one in irradiance_per_mm2]
-    if min(peaks) <= 0.0:
-        sample = views[peaks.index(min(peaks))].sample.id
-        raise InputError("irradiance", min(peaks), "light on the camera", f"sample {sample} is dark")
-    gain_dn_per_ms = peak_share * full_dn / (LONGEST_EXPOSURE_MS * max(peaks))
-    exposures = [round(LONGEST_EXPOSURE_MS * max(peaks) / peak, 3) for peak in peaks]
-    return [
-        Expected(view, one, gain_dn_per_ms * exposure * np.maximum(one, 0.0), exposure)
-        for view, one, exposure in zip(views, irradiance_per_mm2, exposures, strict=True)
-    ]
-
-
-def exposed(
-    client: Asks, model: Model, views: Sequence[View], camera: CameraFacts, peak_share: float = PEAK_SHARE, **how: Any
-) -> list[Expected]:
-    """The signals of a model before a camera, exposed as `expected_images` says; `how` as `irradiances` takes it.
-
-    Where the model has effects, some may bend signals, so the light goes through the sensor at the exposures that the
-    same model without effects asks for.
-    """
-    from validation.prediction import Sensor
-
-    if not model.effects:
-        return expected_images(views, irradiances(client, model, views, **how), camera, peak_share)
-    plain = model.model_copy(update={"effects": (), "fit": {}})
-    like = expected_images(views, irradiances(client, plain, views, solver="twin"), camera, peak_share)
-    full_dn = camera.full_scale_dn - camera.black_level_dn
-    gains = [float(one.signal_dn.max() / one.irradiance_per_mm2.max()) for one in like]
-    seen = [replace(view, sensor=Sensor(gain, 0.0, full_dn)) for view, gain in zip(views, gains, strict=True)]
-    light = irradiances(client, model, seen, **how)
-    return [
-        Expected(one.view, image, gain * np.maximum(image, 0.0), one.exposure_ms)
-        for one, image, gain in zip(like, light, gains, strict=True)
-    ]
 
 
 def write_dataset(
@@ -283,12 +182,19 @@ def simulate(
             _write_truth(folder, truth, expected, {"solver": solver, **traced, "seed": seed})
         chosen = chosen.model_copy(update={"name": name})
         made = write_dataset(folder, chosen, expected, seed=seed, frames=frames, notes=by, curves=curves)
+    own = {one.view.sample.id: one.own_noise(chosen.camera, frames) for one in expected}
     told = {
         "folder": str(out), "shots": [shot.id for shot in made.shots], "solver": solver,
         "histories": histories if solver == "monte_carlo" or far_field else None, "seed": seed,
         "truth_kept": keep_truth, "far_field_model_error": max((one.model_error for one in curves), default=0.0),
+        "images_own_noise": own, "images_own_sigma": own_sigma(own, pixels**2),
     }  # fmt: skip
-    typer.echo(json.dumps(told) if as_json else "\n".join(_told(out, made, pixels, how, seed, curves)))
+    words = [
+        *_told(out, made, pixels, how, seed, curves),
+        *told_noise(own, pixels**2, histories),
+        f"next: luxloop compare {out}",
+    ]
+    typer.echo(json.dumps(told) if as_json else "\n".join(words))
 
 
 def _name(plan: Plan, truth: Model | None, seed: int, modules: bool) -> str:
@@ -311,7 +217,6 @@ def _told(
     if worst > MODEL_ERROR:
         mend = "more --histories, or a larger --far-sigma"
         yield f"the far fields' own Monte Carlo error is {worst:.2g} of their sigma: {mend}"
-    yield f"next: luxloop compare {folder}"
 
 
 def _within(option: str, value: float, most: float, why: str) -> None:
@@ -356,9 +261,8 @@ def _write_truth(folder: Path, model: Model, expected: Sequence[Expected], how: 
     lines += [f'model = "{TRUTH_MODEL}"', f'model_sha256 = "{model.sha256}"']
     for one in expected:
         pose = one.view.pose
-        gain_dn = float(one.signal_dn.max() / one.irradiance_per_mm2.max())
         lines += [
-            "", "[[images]]", f'id = "{one.view.sample.id}"', f"gain_dn = {gain_dn!r}",
+            "", "[[images]]", f'id = "{one.view.sample.id}"', f"gain_dn = {one.gain_dn!r}",
             f"shift_px = {list(pose.shift_px)}", f"rotation_deg = {pose.rotation_deg!r}",
         ]  # fmt: skip
     (folder / TRUTH).write_text("\n".join(lines) + "\n", encoding="utf-8")

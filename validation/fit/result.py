@@ -15,6 +15,7 @@ from validation.fit.model_noise import noise_share, noise_shares
 from validation.fit.parameters import gain_of, pose_of, tied
 from validation.fit.problem import Evaluation, Problem
 from validation.fit.whitening import Whitening, variance_scale
+from validation.noise import histories_for
 from validation.prediction import Pose
 
 Real = NDArray[np.float64]
@@ -203,13 +204,6 @@ def conclude(
             *_of_light(evaluation.problem, values, covariance),
         ),
     )
-
-
-def histories_for(share: float, histories: int, now: float) -> int:
-    """Histories that bring noise, `now` with so many, down to a share of the camera's; rounded up to two digits."""
-    needed = histories * (now / share) ** 2
-    digit = 10.0 ** np.floor(np.log10(needed) - 1.0) if needed > 0.0 else 1.0
-    return int(np.ceil(needed / digit) * digit)
 
 
 def wanted_histories(problem: Problem, white: Whitening, wanted_share: float = WANTED_NOISE) -> dict[str, int]:

@@ -187,7 +187,8 @@ def simulation(model: Model, view: View, histories: int, seed: int, number: int,
 def simulated(answer: Answer, view: View) -> Predicted:
     """The image of such an answer, its digital numbers over the gain: of 1 where the view has no sensor."""
     gain_dn, offset_dn = (1.0, 0.0) if view.sensor is None else (view.sensor.gain_dn, view.sensor.offset_dn)
-    return Predicted((_real(answer.arrays["image_0"]) - offset_dn) / gain_dn, {})
+    image, error = (_real(answer.arrays[name]) for name in ("image_0", "image_error_0"))
+    return Predicted((image - offset_dn) / gain_dn, {}, error_per_mm2=error / gain_dn)
 
 
 def module_of(model: Model, sample: Sample, film_of: FilmOf) -> dict[str, Any]:

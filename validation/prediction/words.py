@@ -109,6 +109,8 @@ class Predicted:
     """(row, column), by which the signal grows with the offset, where a sensor bends it: else 1."""
     of_all_light: frozenset[str] = frozenset()
     """Paths whose derivatives are of what an anchor has over the twin, too."""
+    error_per_mm2: Real | None = None
+    """(row, column), standard error of each pixel of an image by Monte Carlo alone; its neighbours err with it."""
 
 
 @dataclass(frozen=True, eq=False)

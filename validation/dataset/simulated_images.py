@@ -1,0 +1,181 @@
+"""The images that a declared camera would record of samples, before its noise, and what their light errs by.
+
+model, samples --Monte Carlo or twin--> irradiance --exposure--> expected signal
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from luxloop.errors import InputError
+from validation.dataset.images import Real
+from validation.dataset.manifest import CameraFacts
+from validation.dataset.simulation_plan import Plan
+from validation.noise import histories_for, variance_dn2
+
+if TYPE_CHECKING:
+    from luxloop.model import Model
+    from validation.prediction import Predicted, View
+    from validation.prediction.words import Asks
+
+Solver = Literal["monte_carlo", "twin"]
+
+PIXELS, PEAK_SHARE, HISTORIES = 128, 0.85, 16_000_000
+LONGEST_EXPOSURE_MS = 8.0
+"""Of the brightest image; the others are exposed so that their peak is as high."""
+MOST_SIGMA = 3.0
+"""Of all pixels together, that light may err by: spread over the modes of some images, no test sees that."""
+POSES = 2
+"""What a seed is drawn for, beside those of `validation.noise`."""
+
+
+@dataclass(frozen=True, eq=False)
+class Expected:
+    """An image before its noise."""
+
+    view: View
+    irradiance_per_mm2: Real
+    """(row, column), per flux of a chip."""
+    signal_dn: Real
+    """(row, column), above black."""
+    exposure_ms: float
+    error_dn: Real | None = None
+    """(row, column), standard error that Monte Carlo left in the signal; None by the twin."""
+
+    @property
+    def gain_dn(self) -> float:
+        """DN for 1/mm^2."""
+        return float(self.signal_dn.max() / self.irradiance_per_mm2.max())
+
+    def lit_by(self, light: Predicted) -> Expected:
+        """The same exposure of other light."""
+        image = light.irradiance_per_mm2
+        return replace(self, irradiance_per_mm2=image, signal_dn=self.gain_dn * np.maximum(image, 0.0))
+
+    def with_error_of(self, light: Predicted) -> Expected:
+        """The same, and what its light errs by."""
+        error = light.error_per_mm2
+        return self if error is None else replace(self, error_dn=self.gain_dn * error)
+
+    def own_noise(self, camera: CameraFacts, frames: int = 1) -> float:
+        """Rms of that error over the pixels, in standard deviations of the camera's noise."""
+        if self.error_dn is None:
+            return 0.0
+        return float(np.sqrt(np.mean(self.error_dn**2 / variance_dn2(self.signal_dn, camera, frames))))
+
+
+def views_of(
+    plan: Plan, seed: int, rows: int = PIXELS, columns: int = PIXELS, shift_px: float = 0.0, rotation_deg: float = 0.0
+) -> list[View]:
+    """The camera before each sample, its centre chip in the middle but for a shift and a turn with these sds."""
+    from validation.prediction import Pose, View
+
+    drawn = np.random.default_rng((seed, POSES)).standard_normal((len(plan.samples), 3))
+    centre = ((rows - 1) / 2, (columns - 1) / 2)
+    return [
+        View(
+            sample, rows, columns, plan.camera.pixel_um, centre,
+            Pose((shift_px * float(row) + 0.0, shift_px * float(column) + 0.0), rotation_deg * float(turn) + 0.0),
+        )
+        for sample, (row, column, turn) in zip(plan.samples, drawn, strict=True)
+    ]  # fmt: skip
+
+
+def light_of(
+    client: Asks,
+    model: Model,
+    views: Sequence[View],
+    *,
+    solver: Solver = "monte_carlo",
+    histories: int = HISTORIES,
+    seed: int = 1,
+    heard: Callable[[int, int], None] | None = None,
+) -> list[Predicted]:
+    """What each view sees, without columns; RemoteError with the first failure.
+
+    Parameters
+    ----------
+    histories : of Monte Carlo, for each view; each has random numbers of its own.
+    heard : told how many of how many are done.
+    """
+    from validation.prediction import Predictor
+
+    predictor = Predictor(client)
+    if solver == "twin":
+        return predictor.images(model, views)
+    return predictor.monte_carlo(model, views, histories, seed, heard)
+
+
+def expected_images(
+    views: Sequence[View], irradiance_per_mm2: Sequence[Real], camera: CameraFacts, peak_share: float = PEAK_SHARE
+) -> list[Expected]:
+    """The signals of a camera that is exposed so that the peak of each image is at a share of its full scale.
+
+    The gain per exposure is one for all images, so it is evidence too. InputError for a share outside 0 to 1, and for
+    an image without light.
+    """
+    if not 0.0 < peak_share <= 1.0:
+        raise InputError("peak_share", peak_share, "above 0 to 1", "0.85 leaves room for the noise")
+    full_dn = min(camera.full_scale_dn - camera.black_level_dn, camera.gain_dn_per_e * camera.full_well_e)
+    peaks = [float(one.max()) for one in irradiance_per_mm2]
+    if min(peaks) <= 0.0:
+        sample = views[peaks.index(min(peaks))].sample.id
+        raise InputError("irradiance", min(peaks), "light on the camera", f"sample {sample} is dark")
+    gain_dn_per_ms = peak_share * full_dn / (LONGEST_EXPOSURE_MS * max(peaks))
+    exposures = [round(LONGEST_EXPOSURE_MS * max(peaks) / peak, 3) for peak in peaks]
+    return [
+        Expected(view, one, gain_dn_per_ms * exposure * np.maximum(one, 0.0), exposure)
+        for view, one, exposure in zip(views, irradiance_per_mm2, exposures, strict=True)
+    ]
+
+
+def exposed(
+    client: Asks, model: Model, views: Sequence[View], camera: CameraFacts, peak_share: float = PEAK_SHARE, **how: Any
+) -> list[Expected]:
+    """The signals of a model before a camera, exposed as `expected_images` says; `how` as `light_of` takes it.
+
+    Where the model has effects, some may bend signals, so the light goes through the sensor at the exposures that the
+    same model without effects asks for.
+    """
+    from validation.prediction import Sensor
+
+    if not model.effects:
+        light = light_of(client, model, views, **how)
+        found = expected_images(views, [one.irradiance_per_mm2 for one in light], camera, peak_share)
+        return [one.with_error_of(its) for one, its in zip(found, light, strict=True)]
+    plain = model.model_copy(update={"effects": (), "fit": {}})
+    unaided = light_of(client, plain, views, solver="twin")
+    like = expected_images(views, [one.irradiance_per_mm2 for one in unaided], camera, peak_share)
+    full_dn = camera.full_scale_dn - camera.black_level_dn
+    seen = [replace(one.view, sensor=Sensor(one.gain_dn, 0.0, full_dn)) for one in like]
+    light = light_of(client, model, seen, **how)
+    return [one.lit_by(its).with_error_of(its) for one, its in zip(like, light, strict=True)]
+
+
+def own_sigma(own: Mapping[str, float], pixels: int) -> float:
+    """What the light of images errs by in all pixels together, in the noise of the camera.
+
+    Parameters
+    ----------
+    own : `Expected.own_noise` by id of the sample.
+    pixels : of each image.
+    """
+    return math.sqrt(pixels * sum(share**2 for share in own.values()))
+
+
+def told_noise(own: Mapping[str, float], pixels: int, histories: int) -> Iterator[str]:
+    """Where the light of images, of so many histories a sample, errs by what a diagnosis would see; what mends it."""
+    sigma = own_sigma(own, pixels)
+    if sigma > MOST_SIGMA:
+        samples = sorted(own, key=lambda sample: own[sample])
+        least, most = (f"{own[sample]:.2g} ({sample})" for sample in (samples[0], samples[-1]))
+        yield (
+            f"the light of these images errs by {sigma:.2g} sigma of their camera in all, by pixel {least} to {most}"
+            " of its noise: a diagnosis may take that for structure;"
+            f" --histories {histories_for(MOST_SIGMA, histories, sigma)} would leave {MOST_SIGMA:g} sigma"
+        )
