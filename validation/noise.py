@@ -84,6 +84,11 @@ def draw(
     return total / frames
 
 
+def rms_over_noise(error_dn: Real, variance_dn2: Real) -> float:
+    """Rms over the pixels of an error, in standard deviations of their noise."""
+    return float(np.sqrt(np.mean(error_dn**2 / variance_dn2)))
+
+
 def histories_for(share: float, histories: int, now: float) -> int:
     """Histories that bring noise, `now` with so many, down to a share of the camera's; rounded up to two digits."""
     needed = histories * (now / share) ** 2

@@ -26,6 +26,7 @@ from validation.effects.signatures import Column, projected
 from validation.fit import curves_of, film_parameters
 from validation.fit.parameters import free_paths
 from validation.measured import MeasuredImage
+from validation.noise import rms_over_noise
 from validation.observed import Observed
 from validation.prediction import Predicted, Predictor
 
@@ -88,9 +89,7 @@ def monte_carlo(truth: Model, predictor: Predictor) -> tuple[list[Predicted], fl
     for one, image in zip(light, seen(light), strict=True):
         assert one.error_per_mm2 is not None  # noqa: S101  # Monte Carlo tells it
         gain_dn = image.signal_dn.max() / one.irradiance_per_mm2.max()
-        shares.append(
-            float(np.sqrt(np.mean((gain_dn * one.error_per_mm2) ** 2 / image.variance_dn2(image.signal_dn))))
-        )
+        shares.append(rms_over_noise(gain_dn * one.error_per_mm2, image.variance_dn2(image.signal_dn)))
     return light, max(shares)
 
 

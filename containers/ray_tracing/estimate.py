@@ -100,7 +100,7 @@ def ratio_estimate(
 
     Parameters
     ----------
-    hidden : share of the noise that weights took out of the replicas, 0 to 1 (`field.Field.hidden`).
+    hidden : share of the noise that replicas lost to weights, 0 to 1 (`field.Field.hidden`).
 
     Raises
     ------

@@ -199,7 +199,10 @@ class Field:
 
     @property
     def hidden(self) -> float:
-        """Share of the noise, beside the mean's, that weights took out since the tally: 0 where none did, up to 1."""
+        """Share of the noise, beside the mean's, that groups lost since the tally: 0 where none was, up to 1.
+
+        Weights take it out; of a module what they err by themselves is put back (light.py).
+        """
         if self.tallied_variance is None:
             return 0.0
         tallied, kept = self.tallied_variance.copy(), _variance(self.coefficients)

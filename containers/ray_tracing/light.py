@@ -59,10 +59,10 @@ def unweighed(tally: Tally, scene: Scene) -> ModuleField:
     return ModuleField.from_bins(tally.cell_bins(), histories, tally.box.ends_um, scene.height_um)
 
 
-def _weighed(field: Field, share: Real, error: Real) -> Real:
-    """Coefficients whose mean is weighed by the share of light; their spread is that of an error over noise."""
+def _weighed(field: Field, share: Real, over_noise: Real) -> Real:
+    """Coefficients whose mean is weighed by the share of light, their spread by the root of its error over noise."""
     mean = field.coefficients.mean(axis=0)
-    return np.asarray(mean * share + (field.coefficients - mean) * np.sqrt(error))
+    return np.asarray(mean * share + (field.coefficients - mean) * np.sqrt(over_noise))
 
 
 def _share_of_first(field: Field) -> Real:
@@ -76,18 +76,20 @@ def _share_of_first(field: Field) -> Real:
 
 
 def _error_over_noise(field: Field, share: Real) -> Real:
-    """(function along y, along x), squared error of the modes around each one, weighed as `_share_of_first` does.
+    """(function along y, along x), of the modes around each one: squared error once they are weighed by a share of
+    `_share_of_first`, over their noise.
 
     Notes
     -----
     A mode m with noise v that becomes w m errs by v (2 d(w m)/dm - 1) + (1 - w)^2 m^2 on average, whatever light
     there is: the noise that is kept, the light that is lost, and what w itself errs by (C. Stein, Ann. Stat. 9, 1135,
-    1981). With power P and noise N around the mode w = e / (1 + e) and e = P / N - 1 - `CAUTION`.
+    1981). With power P and noise N around the mode w = e / (1 + e) and e = P / N - 1 - `CAUTION`. An average below 0
+    is taken as 0, so where there is next to no light, and all modes have noise, 5 % of it are told too much.
     """
     mean, noise = _mean_and_noise(field)
     by_weight = 2.0 * mean**2 * (1.0 - share) ** 2 / np.maximum(_around(field, noise), 1e-300)
     slope = np.where(share > 0.0, share + by_weight, 0.0)
-    error = noise * (2.0 * slope - 1.0) + ((1.0 - share) * mean) ** 2
+    error = np.where(noise > 0.0, noise * (2.0 * slope - 1.0) + ((1.0 - share) * mean) ** 2, 0.0)
     found = _around(field, error, WIDELY) / np.maximum(_around(field, noise, WIDELY), 1e-300)
     found[0, 0] = 1.0
     return np.maximum(found, 0.0)

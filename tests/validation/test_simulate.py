@@ -231,8 +231,10 @@ def test_too_few_histories_are_told_with_how_many_would_do(run: Run, tmp_path: P
     assert int(found[4]) == pytest.approx(40_000 * (sigma / 3.0) ** 2, rel=0.2)
     as_json = json.loads(run(tmp_path / "same", *options, "--json").stdout)
     assert as_json["images_own_sigma"] == pytest.approx(sigma, rel=0.05)
-    assert list(told_noise({"one": 0.1, "four": 0.05}, 24**2, 40_000)) == []
-    assert "sigma" not in run(tmp_path / "twin").stdout
+    assert list(told_noise({"one": 0.1, "four": 0.05}, 2.7, 40_000)) == []
+    assert "1.2 (one) of" in next(told_noise({"one": 1.2}, 30.0, 40_000))
+    twin = json.loads(run(tmp_path / "twin", "--json").stdout)
+    assert (twin["images_own_noise"], twin["images_own_sigma"]) == ({"one": None, "four": None}, None)
 
 
 def test_measured_images_scatter_about_the_expected_ones(

@@ -183,15 +183,16 @@ def simulate(
         chosen = chosen.model_copy(update={"name": name})
         made = write_dataset(folder, chosen, expected, seed=seed, frames=frames, notes=by, curves=curves)
     own = {one.view.sample.id: one.own_noise(chosen.camera, frames) for one in expected}
+    own_in_all = own_sigma(expected, chosen.camera, frames)
     told = {
         "folder": str(out), "shots": [shot.id for shot in made.shots], "solver": solver,
         "histories": histories if solver == "monte_carlo" or far_field else None, "seed": seed,
         "truth_kept": keep_truth, "far_field_model_error": max((one.model_error for one in curves), default=0.0),
-        "images_own_noise": own, "images_own_sigma": own_sigma(own, pixels**2),
+        "images_own_noise": own, "images_own_sigma": own_in_all,
     }  # fmt: skip
     words = [
         *_told(out, made, pixels, how, seed, curves),
-        *told_noise(own, pixels**2, histories),
+        *told_noise(own, own_in_all, histories),
         f"next: luxloop compare {out}",
     ]
     typer.echo(json.dumps(told) if as_json else "\n".join(words))

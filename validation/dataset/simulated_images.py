@@ -16,7 +16,7 @@ from luxloop.errors import InputError
 from validation.dataset.images import Real
 from validation.dataset.manifest import CameraFacts
 from validation.dataset.simulation_plan import Plan
-from validation.noise import histories_for, variance_dn2
+from validation.noise import histories_for, rms_over_noise, variance_dn2
 
 if TYPE_CHECKING:
     from luxloop.model import Model
@@ -44,13 +44,10 @@ class Expected:
     signal_dn: Real
     """(row, column), above black."""
     exposure_ms: float
+    gain_dn: float
+    """Signal where the irradiance is 1/mm^2."""
     error_dn: Real | None = None
     """(row, column), standard error that Monte Carlo left in the signal; None by the twin."""
-
-    @property
-    def gain_dn(self) -> float:
-        """DN for 1/mm^2."""
-        return float(self.signal_dn.max() / self.irradiance_per_mm2.max())
 
     def lit_by(self, light: Predicted) -> Expected:
         """The same exposure of other light."""
@@ -62,11 +59,11 @@ class Expected:
         error = light.error_per_mm2
         return self if error is None else replace(self, error_dn=self.gain_dn * error)
 
-    def own_noise(self, camera: CameraFacts, frames: int = 1) -> float:
-        """Rms of that error over the pixels, in standard deviations of the camera's noise."""
+    def own_noise(self, camera: CameraFacts, frames: int = 1) -> float | None:
+        """Rms of that error over the pixels, in standard deviations of the camera's noise, its pattern left out."""
         if self.error_dn is None:
-            return 0.0
-        return float(np.sqrt(np.mean(self.error_dn**2 / variance_dn2(self.signal_dn, camera, frames))))
+            return None
+        return rms_over_noise(self.error_dn, variance_dn2(self.signal_dn, camera, frames))
 
 
 def views_of(
@@ -129,7 +126,7 @@ def expected_images(
     gain_dn_per_ms = peak_share * full_dn / (LONGEST_EXPOSURE_MS * max(peaks))
     exposures = [round(LONGEST_EXPOSURE_MS * max(peaks) / peak, 3) for peak in peaks]
     return [
-        Expected(view, one, gain_dn_per_ms * exposure * np.maximum(one, 0.0), exposure)
+        Expected(view, one, gain_dn_per_ms * exposure * np.maximum(one, 0.0), exposure, gain_dn_per_ms * exposure)
         for view, one, exposure in zip(views, irradiance_per_mm2, exposures, strict=True)
     ]
 
@@ -157,25 +154,26 @@ def exposed(
     return [one.lit_by(its).with_error_of(its) for one, its in zip(like, light, strict=True)]
 
 
-def own_sigma(own: Mapping[str, float], pixels: int) -> float:
-    """What the light of images errs by in all pixels together, in the noise of the camera.
+def own_sigma(expected: Sequence[Expected], camera: CameraFacts, frames: int = 1) -> float | None:
+    """What the light of images errs by in all pixels together, in the noise of the camera; None by the twin."""
+    shares = [(one.own_noise(camera, frames), one.signal_dn.size) for one in expected]
+    known = [(share, pixels) for share, pixels in shares if share is not None]
+    return math.sqrt(sum(share**2 * pixels for share, pixels in known)) if known else None
+
+
+def told_noise(own: Mapping[str, float | None], sigma: float | None, histories: int) -> Iterator[str]:
+    """Where the light of images errs by what a diagnosis would see, and what mends it.
 
     Parameters
     ----------
-    own : `Expected.own_noise` by id of the sample.
-    pixels : of each image.
+    own, sigma : `Expected.own_noise` by id of the sample, and `own_sigma`, of so many histories a sample.
     """
-    return math.sqrt(pixels * sum(share**2 for share in own.values()))
-
-
-def told_noise(own: Mapping[str, float], pixels: int, histories: int) -> Iterator[str]:
-    """Where the light of images, of so many histories a sample, errs by what a diagnosis would see; what mends it."""
-    sigma = own_sigma(own, pixels)
-    if sigma > MOST_SIGMA:
-        samples = sorted(own, key=lambda sample: own[sample])
-        least, most = (f"{own[sample]:.2g} ({sample})" for sample in (samples[0], samples[-1]))
-        yield (
-            f"the light of these images errs by {sigma:.2g} sigma of their camera in all, by pixel {least} to {most}"
-            " of its noise: a diagnosis may take that for structure;"
-            f" --histories {histories_for(MOST_SIGMA, histories, sigma)} would leave {MOST_SIGMA:g} sigma"
-        )
+    if sigma is None or sigma <= MOST_SIGMA:
+        return
+    by_noise = sorted((share, sample) for sample, share in own.items() if share is not None)
+    ends = " to ".join(f"{share:.2g} ({sample})" for share, sample in dict.fromkeys((by_noise[0], by_noise[-1])))
+    yield (
+        f"the light of these images errs by {sigma:.2g} sigma of their camera in all, by pixel {ends} of its noise:"
+        f" a diagnosis may take that for structure; --histories {histories_for(MOST_SIGMA, histories, sigma)} would"
+        f" leave about {MOST_SIGMA:g}"
+    )
