@@ -82,7 +82,7 @@ def monte_carlo(truth: Model, predictor: Predictor) -> tuple[list[Predicted], fl
     """The light of the example images, and the noise left in it: rms, in the example camera's, of the worst image.
 
     Without the chips' symmetry one exit stands for one instead of eight: 16 million histories leave 0.65 in an array
-    then, and not each pixel by itself, so a test of structure sees it.
+    then (by two halves, compared), and not each pixel by itself, so a test of structure sees it.
     """
     light = predictor.monte_carlo(truth, example_views(), TRUTH_HISTORIES, TRUTH_SEED)
     shares = []
