@@ -36,8 +36,8 @@ DESIGNS = {
     "start": Design(distance_um=140.0, width_um=40.0, spacing_um=440.0, thickness_um=35.0, dbr_pairs=0.0),
     "even": Design(distance_um=180.0, width_um=54.0, spacing_um=300.0, thickness_um=5.0, dbr_pairs=0.0),
 }
-MODULES = {"one chip": (1, 400.0), "2 x 2": (2, 600.0), "2 x 2, uneven": (2, 600.0)}
 UNEVEN = Emission(position=np.array([[0.7, 1.3]]))
+MODULES = {"one chip": (1, 400.0, None), "2 x 2": (2, 600.0, None), "2 x 2, uneven": (2, 600.0, UNEVEN)}
 PLACES_UM = np.linspace(-300.0, 300.0, 31)
 WAYS = ("share", "Stein", "counted")
 
@@ -96,12 +96,11 @@ def main() -> None:
     heads = ["module", "design", "histories", "map off by, %"]
     heads += [f"{what} by {way}" for way in WAYS for what in ("map told, % (z2)", "U told of spread, off")]
     table = [heads]
-    for module, (side, half_um) in MODULES.items():
+    for module, (side, half_um, emission) in MODULES.items():
         for name, design in DESIGNS.items():
             layout = Array.regular(side, side, design.spacing_um, half_um)
             scene = scene_of(environment, design, None, layout)
-            if module.endswith("uneven"):
-                scene = replace(scene, emission=UNEVEN)
+            scene = replace(scene, emission=emission or scene.emission)
             many = field_of(scene, asked.reference, 1000)
             reference = *map_of(many), uniformity(many, region_of(scene)).value
             table += [

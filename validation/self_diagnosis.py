@@ -29,6 +29,7 @@ from validation.measured import MeasuredImage
 from validation.noise import rms_over_noise
 from validation.observed import Observed
 from validation.prediction import Predicted, Predictor
+from validation.prediction.words import Traced
 
 Real = NDArray[np.float64]
 
@@ -78,7 +79,7 @@ def _undemanded(finding: Finding, noise: float) -> Finding:
     return replace(finding, ok=None, said=finding.said + why)
 
 
-def monte_carlo(truth: Model, predictor: Predictor) -> tuple[list[Predicted], float]:
+def monte_carlo(truth: Model, predictor: Predictor) -> tuple[list[Traced], float]:
     """The light of the example images, and the noise left in it: rms, in the example camera's, of the worst image.
 
     Without the chips' symmetry one exit stands for one instead of eight: 16 million histories leave 0.65 in an array
@@ -87,7 +88,6 @@ def monte_carlo(truth: Model, predictor: Predictor) -> tuple[list[Predicted], fl
     light = predictor.monte_carlo(truth, example_views(), TRUTH_HISTORIES, TRUTH_SEED)
     shares = []
     for one, image in zip(light, seen(light), strict=True):
-        assert one.error_per_mm2 is not None  # noqa: S101  # Monte Carlo tells it
         gain_dn = image.signal_dn.max() / one.irradiance_per_mm2.max()
         shares.append(rms_over_noise(gain_dn * one.error_per_mm2, image.variance_dn2(image.signal_dn)))
     return light, max(shares)

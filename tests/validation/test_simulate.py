@@ -8,7 +8,6 @@ import re
 import tomllib
 from collections.abc import Callable, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -23,8 +22,8 @@ from tests.validation.workers import Workers
 from validation.dataset.checks import check
 from validation.dataset.folder import SUMS, read_dataset, read_sums, sha256_of_file
 from validation.dataset.simulate import PART, simulate, write_dataset
-from validation.dataset.simulated_images import PEAK_SHARE, expected_images, light_of, told_noise, views_of
-from validation.dataset.simulation_plan import DECLARED, Plan, paper_plan, read_plan
+from validation.dataset.simulated_images import PEAK_SHARE, expected_images, light_seen, told_noise, views_of
+from validation.dataset.simulation_plan import DECLARED, Plan, paper_plan, read_plan, with_camera
 from validation.fit.problem import wrapped_deg
 from validation.measured import measured_far_fields, measured_images, measured_spectra
 from validation.noise import variance_dn2
@@ -132,11 +131,8 @@ def lit(workers: Workers, plan: Path) -> tuple[Plan, list[Any], list[Any]]:
     """The plan at 128 x 128 coarse pixels, its views, what they see."""
     chosen = read_plan(plan)
     views = views_of(chosen, 1, 64, 64)
-    return (
-        chosen,
-        views,
-        [one.irradiance_per_mm2 for one in light_of(workers, find_model("paper"), views, solver="twin")],
-    )
+    light = light_seen(workers, find_model("paper"), views, solver="twin")
+    return chosen, views, [one.irradiance_per_mm2 for one in light]
 
 
 def test_spectra_and_far_fields_have_the_noise_that_was_asked_for(run: Run, tmp_path: Path) -> None:
@@ -203,13 +199,12 @@ def test_all_images_are_exposed_to_the_same_peak(lit: tuple[Plan, list[Any], lis
 
 
 def test_what_the_light_itself_errs_by_is_told(run: Run, plan: Path, workers: Workers, tmp_path: Path) -> None:
-    """By sample, in the camera's noise: as far as two runs are apart. The histories that are asked for mend it."""
+    """By sample, in the camera's noise: as much as runs with other seeds scatter."""
     few = run(tmp_path / "few", "--solver", "monte_carlo", "--histories", 40_000, "--json")
     own = json.loads(few.stdout)["images_own_noise"]
-    views = views_of(read_plan(plan), 1, 24, 24)
-    camera = DECLARED.model_copy(update={"pixel_um": 20.0})
-    views = [replace(view, pixel_um=20.0) for view in views]
-    seeds = [light_of(workers, find_model("paper"), views, histories=40_000, seed=seed) for seed in range(2, 18)]
+    chosen = with_camera(read_plan(plan), pixel_um=20.0)
+    views, camera = views_of(chosen, 1, 24, 24), chosen.camera
+    seeds = [light_seen(workers, find_model("paper"), views, histories=40_000, seed=seed) for seed in range(2, 18)]
     for number, view in enumerate(views):
         runs = [one[number].irradiance_per_mm2 for one in seeds]
         (mean,) = expected_images([view], [np.mean(runs, axis=0)], camera)
@@ -219,7 +214,7 @@ def test_what_the_light_itself_errs_by_is_told(run: Run, plan: Path, workers: Wo
 
 
 def test_too_few_histories_are_told_with_how_many_would_do(run: Run, tmp_path: Path) -> None:
-    """Three sigma of all pixels together are left by so many; of fewer, and of the twin, nothing is told."""
+    """As the square says for three sigma of all pixels together; below them, and of the twin, nothing is told."""
     options = ("--solver", "monte_carlo", "--histories", 40_000)
     told = run(tmp_path / "few", *options).stdout
     found = re.search(

@@ -17,7 +17,7 @@ from luxloop.camera import Camera
 from luxloop.errors import InputError
 from luxloop.ray import AnchorRequest, ChipArray, PredictionRequest, RayRequest, ShotRequest
 from validation.prediction.differences import moved_models
-from validation.prediction.words import POSE_COLUMNS, Anchored, Pose, Predicted, Real, View
+from validation.prediction.words import POSE_COLUMNS, Anchored, Pose, Predicted, Real, Traced, View
 from validation.sample_values import of_sample
 
 if TYPE_CHECKING:
@@ -184,11 +184,11 @@ def simulation(model: Model, view: View, histories: int, seed: int, number: int,
     )
 
 
-def simulated(answer: Answer, view: View) -> Predicted:
+def simulated(answer: Answer, view: View) -> Traced:
     """The image of such an answer, its digital numbers over the gain: of 1 where the view has no sensor."""
     gain_dn, offset_dn = (1.0, 0.0) if view.sensor is None else (view.sensor.gain_dn, view.sensor.offset_dn)
     image, error = (_real(answer.arrays[name]) for name in ("image_0", "image_error_0"))
-    return Predicted((image - offset_dn) / gain_dn, {}, error_per_mm2=error / gain_dn)
+    return Traced((image - offset_dn) / gain_dn, {}, error_per_mm2=error / gain_dn)
 
 
 def module_of(model: Model, sample: Sample, film_of: FilmOf) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from luxloop.errors import RemoteError
 from validation.prediction import far_fields, images, spectra
 from validation.prediction.catalogue import Catalogue
 from validation.prediction.film_tables import FilmTables
-from validation.prediction.words import Anchored, Asks, Curve, FarView, Predicted, PredictedCurve, Real, View
+from validation.prediction.words import Anchored, Asks, Curve, FarView, Predicted, PredictedCurve, Real, Traced, View
 
 if TYPE_CHECKING:
     from luxloop.client import Answer
@@ -94,7 +94,7 @@ class Predictor:
 
     def monte_carlo(
         self, model: Model, views: Sequence[View], histories: int, seed: int, heard: Heard | None = None
-    ) -> list[Predicted]:
+    ) -> list[Traced]:
         """The images of views by Monte Carlo alone, each with random numbers of its own: what a truth is made of.
 
         Parameters
@@ -103,7 +103,7 @@ class Predictor:
         heard : told how many of how many views are done.
         """
 
-        def ask() -> list[Predicted]:
+        def ask() -> list[Traced]:
             requests = [images.simulation(model, v, histories, seed, n, self._films.of) for n, v in enumerate(views)]
             return [images.simulated(*one) for one in zip(self._answers(requests, heard), views, strict=True)]
 

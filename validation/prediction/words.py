@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 import numpy as np
@@ -109,8 +109,14 @@ class Predicted:
     """(row, column), by which the signal grows with the offset, where a sensor bends it: else 1."""
     of_all_light: frozenset[str] = frozenset()
     """Paths whose derivatives are of what an anchor has over the twin, too."""
-    error_per_mm2: Real | None = None
-    """(row, column), standard error of each pixel of an image by Monte Carlo alone; its neighbours err with it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Traced(Predicted):
+    """An image by Monte Carlo alone."""
+
+    error_per_mm2: Real = field(kw_only=True)
+    """(row, column), standard error of each pixel; its neighbours err with it."""
 
 
 @dataclass(frozen=True, eq=False)
