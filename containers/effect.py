@@ -218,7 +218,13 @@ class CurveEffect(Effect):
 
 MAY_CHANGE: dict[Stage, tuple[str, ...]] = {
     "surface": ("chip.top", "chip.sides", "chip.mirror", "substrate", "receiver.bsdf", "receiver.response"),
-    "volume": ("chip.index", "chip.absorption_per_um", "receiver.spread_share", "receiver.spread_um"),
+    "volume": (
+        "chip.index",
+        "chip.absorption_per_um",
+        "chip.absorption_rise_per_um",
+        "receiver.spread_share",
+        "receiver.spread_um",
+    ),
     "emission": ("emission", "layout.power"),
     "geometry": ("layout", "distance_um", "tilt_per_um", "chip.width_um", "chip.thickness_um"),
 }

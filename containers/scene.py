@@ -57,11 +57,15 @@ class Chip:
     mirror: Bsdf | None = None
     """What light meets at the bottom, where `bottom` is mirror."""
     absorption_per_um: float = 0.0
+    """The mean over its height."""
+    absorption_rise_per_um: float = 0.0
+    """How much more it is at the top than on average, and less at the bottom; linear in between."""
 
     def __post_init__(self) -> None:
         within("width_um", self.width_um, 0.0, 1e5, "the side of the chip", above=True)
         within("thickness_um", self.thickness_um, 0.0, 1e5, "the height of the chip", above=True)
-        within("absorption_per_um", self.absorption_per_um, 0.0, 1e3, "1 /cm is 1e-4 /um")
+        most = float(within("absorption_per_um", self.absorption_per_um, 0.0, 1e3, "1 /cm is 1e-4 /um"))
+        within("absorption_rise_per_um", self.absorption_rise_per_um, -most, most, "no part of the chip may amplify")
         index = within("index", self.index, LEAST_INDEX, MOST_INDEX, "unfolding needs n^2 of at least 2")
         if index.ndim != 1 or not index.size:
             raise InputError("index", index.shape, "one number per wavelength")

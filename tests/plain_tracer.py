@@ -41,6 +41,8 @@ class PlainCell:
     receiver: float
     top_reflectance: Callable[[Real], Real]
     """R against u = n sin(theta), below 1, from either side."""
+    rise: float = 0.0
+    """1/um, of the absorption: so much more at the chip's top, and less at its bottom, than halfway up."""
 
 
 def fresnel(n_in: float, n_out: float, cosine: Real) -> Real:
@@ -92,7 +94,9 @@ def _inside(cell: PlainCell, at: Real, way: Real, rng: np.random.Generator) -> S
     axis = path.argmin(axis=1)
     rows = np.arange(count)
     length = path[rows, axis]
-    dead = rng.exponential(size=count) < cell.absorption * length
+    halfway = at[:, 2] + way[:, 2] * length / 2.0
+    absorption = cell.absorption + cell.rise * (2.0 * halfway / cell.thickness - 1.0)
+    dead = rng.exponential(size=count) < absorption * length
     at = at + way * length[:, None]
     down = (axis == 2) & (way[:, 2] < 0.0)
     cosine = np.abs(way[rows, axis])

@@ -20,6 +20,7 @@ TOP_IN, TOP_OUT, SIDE_IN, SIDE_OUT, BOTTOM, SUBSTRATE, RECEIVER, EDGE = range(8)
     HALF_WIDTH,
     THICKNESS,
     ABSORPTION,
+    ABSORPTION_RISE,
     TILT_X,
     TILT_Y,
     HALF_X,
@@ -31,7 +32,7 @@ TOP_IN, TOP_OUT, SIDE_IN, SIDE_OUT, BOTTOM, SUBSTRATE, RECEIVER, EDGE = range(8)
     LEAK_SHARE,
     LEAK_LENGTH,
     INDEX,
-) = range(16)
+) = range(17)
 """Entries of `numbers`, the last one where the refractive indices begin: lengths in um, absorption in 1/um, tilt in
 1/um, spread and leak as share and um."""
 
@@ -119,7 +120,8 @@ X, Y, Z, DX, DY, DZ, WEIGHT, EVENT, CHIP_X, CHIP_Y, RAY = range(11)
 THROUGH_TOP, FROM_SIDES, AFTER_TOP, AFTER_RECEIVER = range(4)
 """The paper's optical events: through the DBR, directly from the sides, after the top, after the receiver."""
 
-BOTTOM_HITS, PATH, TOP_HITS, BORN_X, BORN_Y, TOP_COSINES, BEYOND, TRACE = 0, 1, 2, 3, 4, 5, 9, 17
-"""Entries of what a walk in a chip notes: bottom hits, path (um), reflections at the top inside the escape cone,
-where its light was born (um from the chip's centre), the cosines of those reflections (the first four), and counts of
-reflections at the top beyond the critical angle, by cosine in equal steps from 0 to that of this angle."""
+BOTTOM_HITS, PATH, LIFT, TOP_HITS, BORN_X, BORN_Y, TOP_COSINES, BEYOND, TRACE = 0, 1, 2, 3, 4, 5, 6, 10, 18
+"""Entries of what a walk in a chip notes: bottom hits, path (um), the integral of 2 z / T - 1 along it (um),
+reflections at the top inside the escape cone, where its light was born (um from the chip's centre), the cosines of
+those reflections (the first four), and counts of reflections at the top beyond the critical angle, by cosine in equal
+steps from 0 to that of this angle."""

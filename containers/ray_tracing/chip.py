@@ -59,6 +59,7 @@ def walk_chip(scene: SceneArrays, wave: int, ray: Real, stream: Stream, ledger: 
 @borrowing_kernel
 def _walk_unfolded(scene: SceneArrays, wave: int, ray: Real, stream: Stream, ledger: Real, trace: Real) -> int:
     half, top, alpha = scene.numbers[of.HALF_WIDTH], scene.numbers[of.THICKNESS], scene.numbers[of.ABSORPTION]
+    rise = scene.numbers[of.ABSORPTION_RISE]
     surfaces, n = scene.surfaces, scene.numbers[of.INDEX + wave]
     n2 = n * n
     leaks = 1.0 - 1.0 / n2
@@ -93,17 +94,24 @@ def _walk_unfolded(scene: SceneArrays, wave: int, ray: Real, stream: Stream, led
                     at, above = node_of(surfaces, of.TOP_IN, wave, n2 * (1.0 - dz * dz), n2)
                     R = share(surfaces, of.TOP_IN, at, above, 0)
                     if b >= R:
+                        lift = lift_of(z, dz, top_at, top)
+                        left = _dim(weight, alpha * top_at + rise * lift, ledger)
                         if b < share(surfaces, of.TOP_IN, at, above, 1):
                             trace[of.PATH] += top_at
-                            ray[of.WEIGHT] = _dim(weight, alpha * top_at, ledger)
+                            trace[of.LIFT] += lift
+                            ray[of.WEIGHT] = left
                             x, y = x + dx * top_at, y + dy * top_at
                             _leave(ray, x, y, top, dx, dy, dz, half, n, 2, topped)
                             return OUT
-                        ledger[of.DBR_END] += _dim(weight, alpha * top_at, ledger)
+                        ledger[of.DBR_END] += left
                         return ENDED
                 _note_top(trace, dz, leaks)
                 topped = True
-        weight = _dim(weight, alpha * min(abs(leaves_at), bottom_at), ledger)
+        path, lift = min(abs(leaves_at), bottom_at), 0.0
+        if z > 0.0 or path < bottom_at:  # from bottom to bottom it is 0
+            lift = lift_of(z, dz, path, top)
+        weight = _dim(weight, alpha * path + rise * lift, ledger)
+        trace[of.LIFT] += lift
         if abs(leaves_at) <= bottom_at:
             if leaves_at < 0.0:
                 ledger[of.DBR_END] += weight
@@ -135,6 +143,18 @@ def _walk_unfolded(scene: SceneArrays, wave: int, ray: Real, stream: Stream, led
             weight = _roulette(weight, faint, stream, ledger)
             if weight == 0.0:
                 return ENDED
+
+
+@inlined_kernel
+def lift_of(z: float, dz: float, path: float, top: float) -> float:
+    """The integral of 2 z / T - 1 along a path (um) from height z, which the top may turn back once: T times the
+    share of its light that a rise of the absorption takes beside what its mean takes."""
+    if dz > 0.0:
+        to_top = (top - z) / dz
+        if path > to_top:
+            down = path - to_top
+            return (to_top * z + down * (top - down * dz)) / top
+    return path * ((2.0 * z + path * dz) / top - 1.0)
 
 
 @inlined_kernel
@@ -261,6 +281,7 @@ def _bottom(
 def _walk_plain(scene: SceneArrays, wave: int, ray: Real, stream: Stream, ledger: Real, trace: Real) -> int:
     """Face by face, for sides that scatter or absorb beyond the critical angle."""
     half, top, alpha = scene.numbers[of.HALF_WIDTH], scene.numbers[of.THICKNESS], scene.numbers[of.ABSORPTION]
+    rise = scene.numbers[of.ABSORPTION_RISE]
     n, weight, topped = scene.numbers[of.INDEX + wave], ray[of.WEIGHT], False
     x, y, z, dx, dy, dz = ray[of.X], ray[of.Y], ray[of.Z], ray[of.DX], ray[of.DY], ray[of.DZ]
     faint, leaks, steep = FAINT * weight, 1.0 - 1.0 / (n * n), 0.0
@@ -269,8 +290,10 @@ def _walk_plain(scene: SceneArrays, wave: int, ray: Real, stream: Stream, ledger
         to_y = ((half if dy > 0.0 else -half) - y) / dy if dy != 0.0 else inf
         to_z = ((top if dz > 0.0 else 0.0) - z) / dz if dz != 0.0 else inf
         path = min(to_x, to_y, to_z)
-        weight = _dim(weight, alpha * path, ledger)
+        lift = lift_of(z, dz, path, top)
+        weight = _dim(weight, alpha * path + rise * lift, ledger)
         trace[of.PATH] += path
+        trace[of.LIFT] += lift
         if weight < faint:
             weight = _roulette(weight, faint, stream, ledger)
             if weight == 0.0:

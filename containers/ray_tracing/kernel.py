@@ -299,8 +299,11 @@ def _book_trapped(
             cosine = tried
             break
     first = ray[of.Z] if cosine < 0.0 else 2.0 * top - ray[of.Z]
+    lift = (
+        scene.numbers[of.ABSORPTION_RISE] * ray[of.Z] * (1.0 - ray[of.Z] / top) / cosine
+    )  # of its way to the mirror
     r = albedo(scene.surfaces, of.BOTTOM, wave, 1.0)
-    start, e = np.exp(-alpha * first / abs(cosine)), np.exp(-alpha * 2.0 * top / abs(cosine))
+    start, e = np.exp(-alpha * first / abs(cosine) - lift), np.exp(-alpha * 2.0 * top / abs(cosine))
     ledger[of.CHIP_END] += trapped * (1.0 - start + start * r * (1.0 - e) / (1.0 - e * r))
     ledger[of.SUBSTRATE_END] += trapped * start * (1.0 - r) / (1.0 - e * r)
 

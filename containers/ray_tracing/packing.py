@@ -289,7 +289,7 @@ def _numbers(scene: Scene) -> Real:
     halves = (layout.half_x_um, layout.half_y_um) if isinstance(layout, Array) else (np.inf, np.inf)
     numbers = (
         layout.spacing_um, scene.distance_um, chip.width_um / 2.0, chip.thickness_um, chip.absorption_per_um,
-        *scene.tilt_per_um, *halves, *origin, receiver.spread_share, receiver.spread_um,
+        chip.absorption_rise_per_um, *scene.tilt_per_um, *halves, *origin, receiver.spread_share, receiver.spread_um,
         scene.leak_share, scene.leak_um,
     )  # fmt: skip
     if len(numbers) != INDEX:

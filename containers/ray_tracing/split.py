@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from containers.compiled import borrowing_kernel, inlined_kernel
 from containers.ray_tracing import arrays as of
-from containers.ray_tracing.chip import _bottom, _dim, _leave, _leaves_at, _roulette
+from containers.ray_tracing.chip import _bottom, _dim, _leave, _leaves_at, _roulette, lift_of
 from containers.ray_tracing.kernel import Scratch, emit, follow, leave_chip, scramble_keys, scratch
 from containers.ray_tracing.monte_carlo import MonteCarlo
 from containers.ray_tracing.philox import FACE, Stream, draw, follow_up, start
@@ -64,6 +64,7 @@ def _split_history(
     """Walk in the source chip, flight by flight (`chip._walk_unfolded`), and follow what leaves on each of them."""
     top, alpha, n = scene.numbers[of.THICKNESS], scene.numbers[of.ABSORPTION], scene.numbers[of.INDEX + wave]
     half, ledger, surfaces, n2 = scene.numbers[of.HALF_WIDTH], sinks.ledger, scene.surfaces, n * n
+    rise = scene.numbers[of.ABSORPTION_RISE]
     x, y, z, dx, dy, dz = ray[of.X], ray[of.Y], ray[of.Z], ray[of.DX], ray[of.DY], ray[of.DZ]
     chip_x, chip_y, weight, topped = ray[of.CHIP_X], ray[of.CHIP_Y], ray[of.WEIGHT], False
     faint, leaks = FAINT * weight, 1.0 - 1.0 / n2
@@ -84,7 +85,10 @@ def _split_history(
         elif scene.flags[of.CLOSED] and dz * dz <= leaks:
             ledger[of.TRAPPED_END if alpha == 0.0 else of.CHIP_END] += weight
             return
-        leaving = _dim(weight * (1.0 - stays), alpha * abs(at), ledger) if stays < 1.0 else 0.0
+        leaving = 0.0
+        if stays < 1.0:
+            depth = alpha * abs(at) + rise * lift_of(z, dz, abs(at), top)
+            leaving = _dim(weight * (1.0 - stays), depth, ledger)
         leaving = _roulette(leaving, faint, stream, ledger) if 0.0 < leaving < faint else leaving
         if leaving > 0.0 and at < 0.0:
             ledger[of.DBR_END] += leaving
@@ -95,7 +99,8 @@ def _split_history(
             _leave(ray, x + dx * at, y + dy * at, height, dx, dy, going, half, n, axis, topped or at > top_at)
             leave_chip(ray, sinks)
             follow(scene, wave, ray, stream, sinks, survival, 1, trace)
-        weight, topped = _dim(weight * stays, alpha * bottom_at, ledger), topped or dz > 0.0
+        depth = alpha * bottom_at + rise * lift_of(z, dz, bottom_at, top)
+        weight, topped = _dim(weight * stays, depth, ledger), topped or dz > 0.0
         x, y, z = x + dx * bottom_at, y + dy * bottom_at, 0.0
         what, dx, dy, dz = _bottom(surfaces, scene.flags[of.AIR_GAP] == 1, wave, n, dx, dy, -abs(dz), stream)
         if what != REFLECTED:

@@ -37,7 +37,7 @@ PRETEND = str(Path(__file__).parents[1] / "pretend_worker.py")
 STEPS = "80,80,300,40,4"
 """Of a grid: 32 designs of them can be built."""
 DESIGN = Design.from_vector((180.0, 40.0, 500.0, 20.0, 0.0))
-LOSS = AppliedEffect(name="chip_absorption", parameters={"absorption_per_cm": 400.0})
+LOSS = AppliedEffect(name="chip_absorption", parameters={"absorption_per_cm": 400.0, "profile": "even"})
 INDEX = AppliedEffect(name="dbr_index_error", parameters={"index_change": -0.05})
 MINE = '''
 """A chip that absorbs."""
@@ -177,7 +177,7 @@ def applied(name: str, **parameters: Any) -> AppliedEffect:
     [
         ((applied("chip_absorbtion", absorption_per_cm=60.0),),
          ("effects.chip_absorbtion", "chip_absorbtion", "luxloop effects list", "did you mean chip_absorption?")),
-        ((applied("chip_absorption", absorption_per_cm=900.0),),
+        ((applied("chip_absorption", absorption_per_cm=900.0, profile="even"),),
          ("effects.chip_absorption.absorption_per_cm", "900.0", "0 to 500 1/cm", "added to the absorption")),
         ((applied("chip_absorption"),),
          ("effects.chip_absorption.absorption_per_cm", "None", "0 to 500 1/cm", "the parameter is missing")),
@@ -203,7 +203,7 @@ def test_effects_that_workers_refuse_are_refused_before_a_run_begins(
 
 def test_a_grid_of_a_model_with_a_refused_effect_does_not_begin(running: RunningSet) -> None:
     """For machines: exit code 2, and one object with field, value, range, mend."""
-    file = model_file(running, "no-grid", applied("chip_absorption", absorption_per_cm=900.0))
+    file = model_file(running, "no-grid", applied("chip_absorption", absorption_per_cm=900.0, profile="even"))
     done = luxloop(running, "grid", "--model", file, "--id", "no-grid", "--no-local", "--json")
     assert done.returncode == 2
     error = json.loads(done.stdout)["error"]

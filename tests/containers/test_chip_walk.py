@@ -10,7 +10,7 @@ from scipy import stats
 from scipy.special import expn
 
 from containers.bsdf import Fresnel, GaussianLobe, Lambertian, Mirror, Mixture
-from containers.ray_tracing.arrays import AFTER_TOP, CONES, ENDS, FROM_SIDES, PATH, THROUGH_TOP, UNFOLD
+from containers.ray_tracing.arrays import AFTER_TOP, CONES, ENDS, FROM_SIDES, LIFT, PATH, THROUGH_TOP, UNFOLD
 from containers.ray_tracing.kernel import EVENT_OF_EXIT, WEIGHT_OF_EXIT
 from containers.ray_tracing.packing import scene_arrays
 from containers.scene import Emission, Face
@@ -40,7 +40,18 @@ CHIPS: dict[str, dict[str, Any]] = {
     "low index": {"index": np.array([1.5]), "top": bare(1.5), "sides": bare(1.5), "absorption_per_um": 0.01},
     "flat": {"width_um": 90.0, "thickness_um": 5.0, "absorption_per_um": 0.01},
     "tall": {"width_um": 10.0, "thickness_um": 60.0, "absorption_per_um": 0.01},
-}
+    "absorbing above": {"absorption_per_um": 0.01, "absorption_rise_per_um": 0.01},
+    "absorbing below, film that takes light": {
+        "top": taking(0.5, 0.3, beyond=0.9), "absorption_per_um": 0.01, "absorption_rise_per_um": -0.01,
+    },
+    "absorbing above, sides that take light, tall": {
+        "sides": taking(0.4, 0.45), "absorption_per_um": 0.02, "absorption_rise_per_um": 0.015, "width_um": 10.0,
+        "thickness_um": 60.0,
+    },
+    "absorbing below, lossy mirror": {
+        "bottom": "mirror", "mirror": Mirror(0.9), "absorption_per_um": 0.02, "absorption_rise_per_um": -0.02,
+    },
+}  # fmt: skip
 
 
 def face_of(rays: Single, half: float = HALF, top: float = TOP) -> np.ndarray[Any, Any]:
@@ -101,6 +112,14 @@ def test_the_unfolded_walk_is_the_plain_walk(name: str) -> None:
     for reach in (20.0, 100.0, 400.0):  # the mean of clear chips has long tails
         with_path = (np.column_stack([rays, notes[:, PATH]]) for rays, notes in ((a, notes_a), (b, notes_b)))
         same_means(*with_path, counts, lambda rays, reach=reach: rays[:, -1] < reach)
+    with_lift = (np.column_stack([rays, notes[:, LIFT]]) for rays, notes in ((a, notes_a), (b, notes_b)))
+    lifted_a, lifted_b = with_lift
+    for face in (0, 4):
+        for power in (1, 2):
+            same_means(
+                lifted_a, lifted_b, counts,
+                lambda rays, face=face, power=power: (face_of(rays, half, top) == face) * rays[:, -1] ** power,
+            )  # fmt: skip
 
 
 @pytest.mark.parametrize("R", [0.5, 0.9])
@@ -133,12 +152,14 @@ def test_what_a_black_film_takes_is_an_exponential_integral(unfold: bool) -> Non
 @pytest.mark.parametrize("intensity", [(1.0, 1.0, 1.0), (2.0, 1.0, 2.0), (0.5, 1.0, 3.0)])
 @pytest.mark.parametrize("absorption", [0.0, 0.01])
 @pytest.mark.parametrize("R", [0.9, 1.0])
+@pytest.mark.parametrize("rises", [0.0, 1.0, -1.0])
 def test_light_born_in_the_escape_cones_only_is_all_the_light(
-    intensity: tuple[float, float, float], absorption: float, R: float
+    intensity: tuple[float, float, float], absorption: float, R: float, rises: float
 ) -> None:
     """Above a smooth mirror trapped light is booked and not followed: the same exits and ends as if it were."""
     emission = Emission(layer_depth=0.8, cosine=np.array([-1.0, 0.0, 1.0]), intensity=np.array(intensity))
-    of = scene({"bottom": "mirror", "mirror": Mirror(R), "absorption_per_um": absorption}, emission=emission)
+    absorbing = {"absorption_per_um": absorption, "absorption_rise_per_um": rises * absorption}
+    of = scene({"bottom": "mirror", "mirror": Mirror(R), **absorbing}, emission=emission)
     count = 60_000
     assert scene_arrays(of).flags[CONES] == 1
     a, ledger_a, _ = exits_of(of, cones=True, count=count, sobol=False)
@@ -241,6 +262,46 @@ def test_absorption_follows_beer_and_lambert() -> None:
         assert left == pytest.approx(np.exp(-alpha * 0.75 * TOP), rel=4e-4)
         assert notes[:, PATH] == pytest.approx(np.full(len(notes), 0.75 * TOP), rel=2e-4)
         assert ledger[ENDS.index("chip")] == pytest.approx(1.0 - left, abs=1e-6)
+
+
+@pytest.mark.parametrize("unfold", [True, False])
+@pytest.mark.parametrize("rise", [0.02, -0.02, 0.01])
+@pytest.mark.parametrize(("cosine", "ways"), [((0.9999, 1.0), 1), ((-1.0, -0.9999), -1)], ids=["up", "down"])
+def test_absorption_that_rises_is_met_at_each_height(
+    unfold: bool, rise: float, cosine: tuple[float, float], ways: int
+) -> None:
+    """Straight up from a height z0, or down and up again from a mirror: exp(-int a(z) dz) by Simpson's rule."""
+    clear_top, z0, alpha = taking(0.0, 1.0), 0.25 * TOP, 0.02
+    way = Emission(layer_depth=0.25, cosine=np.array(cosine))
+    absorbing = {"absorption_per_um": alpha, "absorption_rise_per_um": rise}
+    of = scene({"top": clear_top, "bottom": "mirror", "mirror": Mirror(1.0), **absorbing}, emission=way)
+    rays, ledger, notes = exits_of(of, count=4096, unfold=unfold, cones=False)
+
+    def depth(low: float, high: float) -> float:
+        ends = [alpha + rise * (2.0 * z / TOP - 1.0) for z in (low, (low + high) / 2.0, high)]
+        return float((high - low) * np.array([1.0, 4.0, 1.0]) @ ends / 6.0)
+
+    whole = depth(z0, TOP) if ways > 0 else depth(0.0, z0) + depth(0.0, TOP)
+    left = rays[:, WEIGHT_OF_EXIT].sum() / 4096
+    assert left == pytest.approx(np.exp(-whole), rel=1e-3)
+    assert ledger[ENDS.index("chip")] == pytest.approx(1.0 - left, abs=1e-6)
+    noted = alpha * notes[:, PATH] + rise * notes[:, LIFT]
+    assert noted == pytest.approx(np.full(len(notes), whole), rel=2e-4)
+
+
+def test_a_rise_of_absorption_only_dims_what_leaves() -> None:
+    """Exits of an evenly absorbing chip, each by exp(-b lift), are those of the chip that absorbs above or below."""
+    alpha, count = 1e-2, 65_536
+    for changes in ({}, {"bottom": "mirror", "mirror": Mirror(0.9)}, {"bottom": "air_gap"}):
+        rays, _, notes = exits_of(scene({**changes, "absorption_per_um": alpha}), count=count)
+        for rise in (alpha, -alpha):
+            absorbing = {"absorption_per_um": alpha, "absorption_rise_per_um": rise}
+            there, _, _ = exits_of(scene({**changes, **absorbing}), count=count, seed=8)
+            for face in range(5):
+                dimmed = rays[:, WEIGHT_OF_EXIT] * np.exp(-rise * notes[:, LIFT]) * (face_of(rays) == face)
+                full = there[:, WEIGHT_OF_EXIT] * (face_of(there) == face)
+                error = np.sqrt(dimmed.astype(float) @ dimmed + full.astype(float) @ full) / count
+                assert dimmed.sum() / count == pytest.approx(full.sum() / count, abs=4.0 * error)
 
 
 def test_absorption_only_dims_what_leaves() -> None:

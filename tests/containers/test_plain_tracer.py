@@ -42,19 +42,21 @@ def both(
     per_cm: float,
     depth: float | None,
     mirror: float | None,
+    rise_per_cm: float = 0.0,
 ) -> tuple[Scene, PlainCell]:
     """The same cell for either program."""
     top, reflectance = face
     chip = Chip(
         size["width"], size["thickness"], np.array([N]), top, bare(),
         bottom="contact" if mirror is None else "mirror", mirror=None if mirror is None else Mirror(mirror),
-        absorption_per_um=per_cm * PER_CM_PER_UM,
+        absorption_per_um=per_cm * PER_CM_PER_UM, absorption_rise_per_um=rise_per_cm * PER_CM_PER_UM,
     )  # fmt: skip
     receiver = lambertian_receiver(0.35)
     of = Scene(Cell(size["spacing"]), chip, size["distance"], Emission(layer_depth=depth), SUBSTRATE, receiver)
     plain = PlainCell(
         **size, index=N, absorption=per_cm * PER_CM_PER_UM, layer_depth=depth, mirror=mirror, substrate=0.97,
         sigma_rad=np.radians(5.0), receiver=0.35, top_reflectance=reflectance,
+        rise=rise_per_cm * PER_CM_PER_UM,
     )  # fmt: skip
     return of, plain
 
@@ -87,6 +89,15 @@ def test_a_lossy_chip_with_a_film_and_a_mirror_agrees_with_the_plain_tracer() ->
 def test_a_lossy_chip_in_contact_agrees_with_the_plain_tracer() -> None:
     """5.5 pairs, 200 /cm, volume emission, bottom in contact with the substrate."""
     compare(*both(film_face(), HARD, 200.0, None, None), photons=120_000, histories=8192)
+
+
+@pytest.mark.parametrize("rise_per_cm", [400.0, -400.0])
+@pytest.mark.parametrize(("depth", "mirror"), [(0.99, 0.97), (None, None)], ids=["layer, mirror", "volume, contact"])
+def test_a_chip_that_absorbs_more_at_one_end_agrees_with_the_plain_tracer(
+    rise_per_cm: float, depth: float | None, mirror: float | None
+) -> None:
+    """400 /cm on average, from 0 at the bottom to 800 at the top, or the other way."""
+    compare(*both(film_face(), HARD, 400.0, depth, mirror, rise_per_cm), photons=60_000, histories=8192)
 
 
 def test_a_nearly_clear_chip_of_the_golden_case_agrees_with_the_plain_tracer() -> None:

@@ -58,10 +58,18 @@ def leaving(exits: Exits) -> Real:
 CHANGES = {
     "bottom": lambda s: replace(s, substrate=GaussianLobe(0.955, SIGMA)),
     "absorption": lambda s: replace(s, chip=replace(s.chip, absorption_per_um=2e-3)),
+    "absorption above": lambda s: replace(
+        s, chip=replace(s.chip, absorption_per_um=4e-3, absorption_rise_per_um=4e-3)
+    ),
+    "absorption below": lambda s: replace(
+        s, chip=replace(s.chip, absorption_per_um=4e-3, absorption_rise_per_um=-4e-3)
+    ),
     "top": lambda s: replace(s, chip=replace(s.chip, top=top(0.45))),
     "loss beyond the critical angle": lambda s: replace(s, chip=replace(s.chip, top=top(0.38, 0.95))),
     "all": lambda s: replace(
-        s, substrate=GaussianLobe(0.98, SIGMA), chip=replace(s.chip, absorption_per_um=0.5e-3, top=top(0.35, 0.99))
+        s,
+        substrate=GaussianLobe(0.98, SIGMA),
+        chip=replace(s.chip, absorption_per_um=0.5e-3, absorption_rise_per_um=0.3e-3, top=top(0.35, 0.99)),
     ),
 }
 
@@ -160,7 +168,10 @@ def test_a_chip_between_two_has_all_that_is_noted_of_the_one(bottom: Bsdf, lent:
     between = lender_of(other, one)
     expected = replace(
         other, substrate=lent,
-        chip=replace(other.chip, top=one.chip.top, absorption_per_um=one.chip.absorption_per_um),
+        chip=replace(
+            other.chip, top=one.chip.top, absorption_per_um=one.chip.absorption_per_um,
+            absorption_rise_per_um=one.chip.absorption_rise_per_um,
+        ),
     )  # fmt: skip
     assert chip_key(between) == chip_key(expected)
     exits = make_exits(between, 3, BLOCK, notes=True)

@@ -62,6 +62,9 @@ REFUSED: list[tuple[str, str, Make]] = [
     ("thickness below 0", "thickness_um", lambda: chip(thickness_um=-1.0)),
     ("nan as thickness", "thickness_um", lambda: chip(thickness_um=nan)),
     ("absorption below 0", "absorption_per_um", lambda: chip(absorption_per_um=-1e-3)),
+    ("absorption that rises from below 0", "absorption_rise_per_um", lambda: chip(
+        absorption_per_um=1e-3, absorption_rise_per_um=-2e-3)),
+    ("nan as rise", "absorption_rise_per_um", lambda: chip(absorption_rise_per_um=nan)),
     ("nan as absorption", "absorption_per_um", lambda: chip(absorption_per_um=nan)),
     ("two escape cones that overlap", "index", lambda: chip(index=np.array([1.41]))),
     ("nan as index", "index", lambda: chip(index=np.array([nan]))),

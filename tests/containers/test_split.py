@@ -24,6 +24,7 @@ SCENES: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
         {"top": taking(0.7, 0.3), "bottom": "mirror", "mirror": Mirror(0.97), "absorption_per_um": 0.02},
         {"emission": Emission(layer_depth=0.99)},
     ),
+    "loss above": ({"top": taking(0.5, 0.4), "absorption_per_um": 0.02, "absorption_rise_per_um": 0.02}, {}),
     "air gap below": ({"bottom": "air_gap"}, {}),
 }
 

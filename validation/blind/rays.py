@@ -99,8 +99,9 @@ def laplace_slope(u: float, rms: float) -> float:
 
 @kernel
 def decay(loss_per_um: float, rise_per_um: float, low: float, high: float, path: float) -> float:
-    """What absorption leaves of light along a path from one height (as a share of T) to another."""
-    return exp(-path * (loss_per_um + rise_per_um * (low + high) * 0.5))
+    """What absorption leaves of light along a path from one height (as a share of T) to another; the rise goes with
+    the square of the height."""
+    return exp(-path * (loss_per_um + rise_per_um * (low * low + low * high + high * high) / 3.0))
 
 
 @kernel

@@ -87,7 +87,7 @@ def body_of(surroundings: Surroundings, sample: Sample, there: There, x_um: floa
     """A chip of a sample whose centre is at x, which matters where films differ."""
     film = film_of(surroundings, sample.dbr_pairs, there, x_um)
     low, high = _layer(surroundings.active_layer_depth, _amount(there, "thick_active_layer"))
-    loss, rise = surroundings.chip_absorption_per_cm * PER_UM, 2.0 * _amount(there, "graded_loss") * PER_UM
+    loss, rise = surroundings.chip_absorption_per_cm * PER_UM, 3.0 * _amount(there, "graded_loss") * PER_UM
     corner = (
         np.random.default_rng((there["round_pad"].seed, 19)).integers(0, 2, 2) if "round_pad" in there else (0, 0)
     )

@@ -29,15 +29,23 @@ if TYPE_CHECKING:
 FilmOf = Callable[["Model", float], "Film | None"]
 Ask = Callable[[Sequence[PredictionRequest]], "list[Answer]"]
 
+PER_CM = 1e-4
+"""1/um"""
 COLUMNS: dict[str, tuple[str, float]] = {
     "environment.substrate.reflectance": ("substrate_reflectance", 1.0),
     "environment.substrate.sigma_deg": ("substrate_sigma_rad", math.pi / 180.0),
     "environment.receiver.reflectance": ("receiver_reflectance", 1.0),
-    "environment.chip_absorption_per_cm": ("absorption_per_um", 1e-4),
-    "effects.chip_absorption.absorption_per_cm": ("absorption_per_um", 1e-4),
+    "environment.chip_absorption_per_cm": ("absorption_per_um", PER_CM),
 }
-"""The worker's column for a path, and that column's unit in the path's own. An effect that adds to what the
-environment has is the same column: a difference of walks of its own knew 200 /cm to 52 where the column does to 6."""
+"""The worker's column for a path, and that column's unit in the path's own."""
+ABSORPTION = "effects.chip_absorption.absorption_per_cm"
+ABSORBING = {
+    "even": "absorption_per_um",
+    "rising": "absorption_to_top_per_um",
+    "falling": "absorption_to_bottom_per_um",
+}
+"""The column of the effect that adds to the environment's absorption, by its profile: a difference of walks of its
+own knew 200 /cm to 52 where the column does to 6."""
 MOST_SHOTS, MOST_VALUES = 64, 1 << 24
 """Of one request, and of its answer: half of what the worker allows."""
 ANCHOR_FUNCTIONS = 200
@@ -100,22 +108,26 @@ class Wanted:
         return tuple(path for path in self.paths if path in POSE_COLUMNS)
 
     @property
-    def columns(self) -> tuple[str, ...]:
-        """Others by which the worker differentiates."""
-        return tuple(path for path in self.paths if path in COLUMNS)
+    def columns(self) -> dict[str, tuple[str, float]]:
+        """Others by which the worker differentiates: its column, and the column's unit in the path's own."""
+        known, (_, effect, _) = dict(COLUMNS), ABSORPTION.split(".")
+        for one in self.model.effects:
+            if one.name == effect:
+                known[ABSORPTION] = ABSORBING[str(one.parameters["profile"])], PER_CM
+        return {path: known[path] for path in self.paths if path in known}
 
     @property
     def of_all_light(self) -> tuple[str, ...]:
         """By differences of models that are moved about the anchor: of effects on all light."""
         if self.anchor is None or not self.anchor.histories:
             return ()
-        own = [path for path in self.paths if path not in COLUMNS and path.startswith("effects.")]
+        own = [path for path in self.paths if path not in self.columns and path.startswith("effects.")]
         return tuple(path for path in own if path.split(".")[1] in self.on_all_light)
 
     @property
     def differences(self) -> tuple[str, ...]:
         """All others: by differences of moved models, as the twin has them."""
-        known = {*COLUMNS, *POSE_COLUMNS, *self.of_all_light}
+        known = {*self.columns, *POSE_COLUMNS, *self.of_all_light}
         return tuple(path for path in self.paths if path not in known)
 
 
@@ -246,7 +258,7 @@ def _moved_request(wanted: Wanted, views: Sequence[View], model: Model, group: S
 
 def _column_request(wanted: Wanted, views: Sequence[View], group: Sequence[int]) -> PredictionRequest:
     """The derivatives of the same views: differences of the twin's images, with the exits of the anchor's chips."""
-    columns = tuple(dict.fromkeys(COLUMNS[path][0] for path in wanted.columns))
+    columns = tuple(dict.fromkeys(name for name, _ in wanted.columns.values()))
     shots = tuple(_shot(wanted.model, views[number], wanted.film_of) for number in group)
     anchor = None
     if wanted.anchor is not None:
@@ -288,7 +300,7 @@ def _about(view: View) -> View:
 
 def _images(wanted: Wanted, answer: Answer) -> Iterator[Predicted]:
     """The images of one answer, in the order of its shots."""
-    arrays, columns = answer.arrays, _columns(wanted.poses, answer)
+    arrays, columns = answer.arrays, _columns({path: (path, 1.0) for path in wanted.poses}, answer)
     for shot, image in enumerate(arrays["images_per_mm2"]):
         noise = _real(arrays["noise_per_mm2"][:, shot]) if len(arrays.get("noise_per_mm2", ())) else None
         twin = _real(arrays["twin_per_mm2"][shot]) if "twin_per_mm2" in arrays else None
@@ -317,13 +329,13 @@ def _told_apart(found: Mapping[int, Predicted], parts: Sequence[Sequence[int]]) 
     return apart
 
 
-def _columns(paths: Sequence[str], answer: Answer) -> Iterator[dict[str, Real]]:
+def _columns(columns: Mapping[str, tuple[str, float]], answer: Answer) -> Iterator[dict[str, Real]]:
     """Each shot's derivatives by these paths, each in the path's own unit."""
-    names = list(dict.fromkeys(COLUMNS.get(path, (path, 1.0))[0] for path in paths))
+    names = list(dict.fromkeys(name for name, _ in columns.values()))
     for shot in range(len(answer.arrays["images_per_mm2"])):
         yield {
             path: unit * _real(answer.arrays["jacobian_per_mm2"][names.index(name), shot])
-            for path, (name, unit) in ((path, COLUMNS.get(path, (path, 1.0))) for path in paths)
+            for path, (name, unit) in columns.items()
         }
 
 

@@ -77,6 +77,13 @@ def _chip(scene: Scene, name: str, amount: float) -> Scene:
     return replace(scene, chip=replace(scene.chip, **changes))
 
 
+def _absorbing(scene: Scene, amount: float, rise: float) -> Scene:
+    """So much more on average, and `rise` times that at the top beyond it."""
+    chip = scene.chip
+    more = {"absorption_per_um": amount, "absorption_rise_per_um": rise * amount}
+    return replace(scene, chip=replace(chip, **{name: getattr(chip, name) + by for name, by in more.items()}))
+
+
 def _spaced(scene: Scene, amount: float) -> Scene:
     """Chips and edges move outwards together."""
     layout = scene.layout
@@ -144,8 +151,10 @@ COLUMNS = {
                lambda s, a: replace(s, substrate=_widened(s.substrate, a)), _share_of(0.3)),
         Column("receiver_reflectance", lambda s: _reflectance(s.receiver.bsdf), _receiver,
                _share_of(0.03), high=0.999),
-        Column("absorption_per_um", lambda s: s.chip.absorption_per_um,
-               lambda s, a: _chip(s, "absorption_per_um", a), _share_of(0.03, 1e-5)),
+        *(Column(name, lambda s: s.chip.absorption_per_um,
+                 lambda s, a, rise=rise: _absorbing(s, a, rise), _share_of(0.03, 1e-5))  # type: ignore[misc]
+          for name, rise in (("absorption_per_um", 0.0), ("absorption_to_top_per_um", 1.0),
+                             ("absorption_to_bottom_per_um", -1.0))),
     )
 }  # fmt: skip
 """Those of scenes, by name; per um, rad, or of a share of 1."""

@@ -3,11 +3,13 @@
 Whether a ray is reflected at the chip's bottom or top is drawn as often as it happens, so what another chip would
 have done more or less often is a ratio of probabilities; absorption dims a ray along its path, a ratio of weights:
 
-    (rho' / rho)^bottom hits  x  exp(-(a' - a) path)  x  prod R'(u_i) / R(u_i)  x  T'(u) / T(u) if it left by the top
+    (rho' / rho)^bottom hits  x  exp(-(a' - a) path - (b' - b) lift)  x  prod R'(u_i) / R(u_i)
+                              x  T'(u) / T(u) if it left by the top
 
-Over reflections at the top. Of those inside the escape cone the walk notes the number and the first four cosines; of
-those beyond the critical angle, where a film that absorbs does not reflect all, how many there were in each of eight
-steps of the cosine.
+a is the mean absorption, b what is more of it at the top, lift the integral of 2 z / T - 1 along the path; the
+product is over reflections at the top. Of those inside the escape cone the walk notes the number and the first four
+cosines; of those beyond the critical angle, where a film that absorbs does not reflect all, how many there were in
+each of eight steps of the cosine.
 Nothing is lost or made on average, at any change; but the larger the change, the fewer exits carry the light.
 """
 
@@ -20,7 +22,7 @@ from numpy.typing import NDArray
 
 from containers.bsdf import Bsdf, GaussianLobe, Lambertian, Mirror, Mixture, SpecularTable
 from containers.bsdf.specular import Specular
-from containers.ray_tracing.arrays import BEYOND, BOTTOM_HITS, DX, DY, PATH, TOP_COSINES, TOP_HITS, TRACE, Z
+from containers.ray_tracing.arrays import BEYOND, BOTTOM_HITS, DX, DY, LIFT, PATH, TOP_COSINES, TOP_HITS, TRACE, Z
 from containers.ray_tracing.exits import Exits, chip_key
 from containers.ray_tracing.kernel import WAVE_OF_EXIT, WEIGHT_OF_EXIT
 from containers.ray_tracing.twin.direct import without_loss
@@ -72,8 +74,7 @@ def reweighted(exits: Exits, stored: Scene, wanted: Scene) -> Reweighted:
     if exits.notes.shape != (len(exits.rays), TRACE):
         raise InputError("exits", "without notes", "exits with notes", "make them with notes=True")
     factor = _bottom_factor(exits, stored, wanted)
-    path_um = exits.notes[:, PATH].astype(float)
-    factor *= np.exp(-(wanted.chip.absorption_per_um - stored.chip.absorption_per_um) * path_um)
+    factor *= _dimmed(exits, stored, wanted)
     several = np.zeros(len(factor), bool)
     if not _same_face(stored.chip.top.inside, wanted.chip.top.inside):
         factor *= _top_factor(exits, stored, wanted)
@@ -98,6 +99,16 @@ def _bottom_factor(exits: Exits, stored: Scene, wanted: Scene) -> Real:
     )
 
 
+def _dimmed(exits: Exits, stored: Scene, wanted: Scene) -> Real:
+    """What another absorption, or another rise of it, leaves of each exit."""
+    before, after = stored.chip, wanted.chip
+    path_um, lift_um = (exits.notes[:, one].astype(float) for one in (PATH, LIFT))
+    depth = (after.absorption_per_um - before.absorption_per_um) * path_um
+    if after.absorption_rise_per_um != before.absorption_rise_per_um:
+        depth += (after.absorption_rise_per_um - before.absorption_rise_per_um) * lift_um
+    return np.asarray(np.exp(-depth))
+
+
 def _bottom(scene: Scene) -> Bsdf:
     return scene.chip.mirror if scene.chip.mirror is not None else scene.substrate
 
@@ -118,7 +129,8 @@ def without_what_is_noted(scene: Scene) -> tuple[Scene, float]:
     """The scene with a bare, clear chip on a bottom without loss, and the bottom's reflectance."""
     bottom, kept = without_loss(_bottom(scene))
     own = scene.chip.mirror is not None
-    chip = replace(scene.chip, top=scene.chip.sides, absorption_per_um=0.0, mirror=bottom if own else None)
+    clear = replace(scene.chip, absorption_per_um=0.0, absorption_rise_per_um=0.0)
+    chip = replace(clear, top=scene.chip.sides, mirror=bottom if own else None)
     return replace(scene, chip=chip, substrate=Lambertian(1.0) if own else bottom), kept
 
 
@@ -128,7 +140,8 @@ def lender_of(wanted: Scene, stored: Scene) -> Scene:
     So a chip that differs in something else (where or whereto light is born, how its sides reflect) has walks that do
     not depend on absorption, top and the bottom's reflectance, and no noise of their own when those move.
     """
-    chip = replace(wanted.chip, absorption_per_um=stored.chip.absorption_per_um)
+    noted = {name: getattr(stored.chip, name) for name in ("absorption_per_um", "absorption_rise_per_um")}
+    chip = replace(wanted.chip, **noted)
     if np.array_equal(wanted.chip.index, stored.chip.index):
         chip = replace(chip, top=stored.chip.top)
     bottom, own = without_loss(_bottom(wanted))

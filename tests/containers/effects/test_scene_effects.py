@@ -77,10 +77,26 @@ def test_absorption_dims_each_ray_along_its_path() -> None:
     """Beer and Lambert: the same exits as of a clear chip, each weight exp(-a path), a in 1/um from 1/cm."""
     clear = black()
     before, _, notes = exits_of(clear)
-    after, _, _ = exits_of(under(ChipAbsorption(absorption_per_cm=30.0), clear))
+    after, _, _ = exits_of(under(ChipAbsorption(absorption_per_cm=30.0, profile="even"), clear))
     assert len(after) == len(before)
     expected = np.exp(-30.0e-4 * notes[:, PATH].astype(float))
     np.testing.assert_allclose(after[:, WEIGHT_OF_EXIT] / before[:, WEIGHT_OF_EXIT], expected, rtol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("profile", "bottom_per_cm", "top_per_cm"), [("rising", 20.0, 80.0), ("falling", 80.0, 20.0)]
+)
+def test_absorption_rises_from_nothing_to_twice_its_mean(
+    profile: Any, bottom_per_cm: float, top_per_cm: float
+) -> None:
+    """Beside what the environment says, which stays where it was."""
+    effect = ChipAbsorption(absorption_per_cm=30.0, profile=profile)
+    chip = under(effect, scene({"absorption_per_um": 20e-4})).chip
+    ends = (
+        chip.absorption_per_um - chip.absorption_rise_per_um,
+        chip.absorption_per_um + chip.absorption_rise_per_um,
+    )
+    assert ends == pytest.approx((bottom_per_cm * 1e-4, top_per_cm * 1e-4))
 
 
 def test_in_plane_dipoles_gain_44_percent_upwards_and_lose_22_percent_sideways() -> None:

@@ -65,13 +65,31 @@ def test_a_sample_is_asked_for_as_it_stands(workers: Workers, model: Model) -> N
 def test_absorption_by_an_effect_is_the_absorption_of_the_chip(workers: Workers, model: Model) -> None:
     """One column serves both, so that an effect that is named is known as well as what it adds to."""
     path = "effects.chip_absorption.absorption_per_cm"
-    effect = AppliedEffect(name="chip_absorption", parameters={"absorption_per_cm": 120.0})
+    effect = AppliedEffect(name="chip_absorption", parameters={"absorption_per_cm": 120.0, "profile": "even"})
     split = model.model_copy(update={"effects": (effect,)}).with_value(LOSS, 80.0)
     (found,) = Predictor(workers).images(split, [view(FOUR)], (LOSS, path), Anchored(split, 0))
     (whole,) = Predictor(workers).images(model.with_value(LOSS, 200.0), [view(FOUR)], (LOSS,), Anchored(model, 0))
     np.testing.assert_array_equal(found.jacobian_per_mm2[path], found.jacobian_per_mm2[LOSS])
     np.testing.assert_allclose(found.jacobian_per_mm2[path], whole.jacobian_per_mm2[LOSS], rtol=1e-6)
     assert np.all(found.jacobian_per_mm2[path] < 0.0)
+
+
+@pytest.mark.parametrize("profile", ["rising", "falling"])
+def test_absorption_that_rises_has_a_column_of_its_own(workers: Workers, model: Model, profile: str) -> None:
+    """It is the difference of two images by one walk, and not the column of even absorption."""
+    path = "effects.chip_absorption.absorption_per_cm"
+
+    def at(per_cm: float) -> Model:
+        parameters = {"absorption_per_cm": per_cm, "profile": profile}
+        return model.model_copy(update={"effects": (AppliedEffect(name="chip_absorption", parameters=parameters),)})
+
+    predictor, anchor = Predictor(workers), Anchored(at(100.0), 0)
+    (found,) = predictor.images(at(100.0), [view(FOUR)], (LOSS, path), anchor)
+    low, high = (predictor.images(at(per_cm), [view(FOUR)], (), anchor)[0] for per_cm in (95.0, 105.0))
+    difference = (high.irradiance_per_mm2 - low.irradiance_per_mm2) / 10.0
+    own, even = (found.jacobian_per_mm2[one] for one in (path, LOSS))
+    assert np.linalg.norm(own - difference) < 0.02 * np.linalg.norm(difference)
+    assert np.linalg.norm(own - even) > 0.1 * np.linalg.norm(even)
 
 
 def test_films_are_asked_for_once(workers: Workers, model: Model) -> None:
@@ -248,7 +266,7 @@ def test_derivatives_by_a_lens_are_of_all_the_light_that_an_anchor_knows(workers
 def test_a_derivative_that_the_worker_has_is_taken_once(workers: Workers, model: Model) -> None:
     """Absorption that an effect adds has the column of the model's own, about Monte Carlo too, and no other."""
     path = "effects.chip_absorption.absorption_per_cm"
-    more = AppliedEffect(name="chip_absorption", parameters={"absorption_per_cm": 20.0})
+    more = AppliedEffect(name="chip_absorption", parameters={"absorption_per_cm": 20.0, "profile": "even"})
     limits = {path: Fit(free=True, lower=0.0, upper=500.0)}
     there = model.model_copy(update={"effects": (more,), "fit": model.fit | limits})
     (found,) = Predictor(workers).images(there, [view()], (path, LOSS), Anchored(there, 1 << 16))
