@@ -59,7 +59,7 @@ class Chip:
     absorption_per_um: float = 0.0
     """The mean over its height."""
     absorption_rise_per_um: float = 0.0
-    """How much more it is at the top than on average, and less at the bottom; linear in between."""
+    """How much more it is at the top than on average, and less at the bottom, linear in between; below 0: falling."""
 
     def __post_init__(self) -> None:
         within("width_um", self.width_um, 0.0, 1e5, "the side of the chip", above=True)

@@ -111,24 +111,22 @@ def _walk_unfolded(scene: SceneArrays, wave: int, ray: Real, stream: Stream, led
         if z > 0.0 or path < bottom_at:  # from bottom to bottom it is 0
             lift = lift_of(z, dz, path, top)
         weight = _dim(weight, alpha * path + rise * lift, ledger)
+        trace[of.PATH] += path
         trace[of.LIFT] += lift
+        x, y = x + dx * path, y + dy * path
         if abs(leaves_at) <= bottom_at:
             if leaves_at < 0.0:
                 ledger[of.DBR_END] += weight
                 return ENDED
-            trace[of.PATH] += leaves_at
             ray[of.WEIGHT] = weight
-            height = z + dz * leaves_at
+            height = z + dz * path
             going = dz
             if height > top:
                 height, going = 2.0 * top - height, -dz
-            x, y = x + dx * leaves_at, y + dy * leaves_at
             _leave(ray, x, y, height, dx, dy, going, half, n, 0 if through_x else 1, topped)
             return OUT
-        trace[of.PATH] += bottom_at
         trace[of.BOTTOM_HITS] += 1.0
-        x, y, z = x + dx * bottom_at, y + dy * bottom_at, 0.0
-        dz = abs(dz)
+        z, dz = 0.0, abs(dz)
         if sigma > 0.0:  # what nearly all bottoms are, without the way through `scatter`
             a, b, c, _ = draw(stream, BOTTOM_KIND, 0)
             what = REFLECTED if a < reflectance else ABSORBED
@@ -147,8 +145,8 @@ def _walk_unfolded(scene: SceneArrays, wave: int, ray: Real, stream: Stream, led
 
 @inlined_kernel
 def lift_of(z: float, dz: float, path: float, top: float) -> float:
-    """The integral of 2 z / T - 1 along a path (um) from height z, which the top may turn back once: T times the
-    share of its light that a rise of the absorption takes beside what its mean takes."""
+    """The integral of 2 z / T - 1 along a path (um) from height z, which the top may turn back once: a rise b of the
+    absorption adds b times this to the optical depth."""
     if dz > 0.0:
         to_top = (top - z) / dz
         if path > to_top:

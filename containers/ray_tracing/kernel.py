@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from containers.compiled import borrowing_kernel, inlined_kernel
 from containers.ray_tracing import arrays as of
 from containers.ray_tracing.arrays import EmissionArrays, SceneArrays, Sinks
-from containers.ray_tracing.chip import OUT, walk_chip
+from containers.ray_tracing.chip import OUT, lift_of, walk_chip
 from containers.ray_tracing.module import INTO_CHIP, clear_way, receive, walk_module
 from containers.ray_tracing.philox import CHIP, EMISSION, STREAM_WORDS, Stream, draw, philox4x32, start
 from containers.ray_tracing.recording import note_direction
@@ -299,11 +299,9 @@ def _book_trapped(
             cosine = tried
             break
     first = ray[of.Z] if cosine < 0.0 else 2.0 * top - ray[of.Z]
-    lift = (
-        scene.numbers[of.ABSORPTION_RISE] * ray[of.Z] * (1.0 - ray[of.Z] / top) / cosine
-    )  # of its way to the mirror
+    rise, lift = scene.numbers[of.ABSORPTION_RISE], lift_of(ray[of.Z], cosine, first / abs(cosine), top)
     r = albedo(scene.surfaces, of.BOTTOM, wave, 1.0)
-    start, e = np.exp(-alpha * first / abs(cosine) - lift), np.exp(-alpha * 2.0 * top / abs(cosine))
+    start, e = np.exp(-alpha * first / abs(cosine) - rise * lift), np.exp(-alpha * 2.0 * top / abs(cosine))
     ledger[of.CHIP_END] += trapped * (1.0 - start + start * r * (1.0 - e) / (1.0 - e * r))
     ledger[of.SUBSTRATE_END] += trapped * start * (1.0 - r) / (1.0 - e * r)
 

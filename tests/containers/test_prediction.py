@@ -285,6 +285,21 @@ def test_one_sided_steps_stay_within_their_range() -> None:
 
 
 @pytest.mark.parametrize(
+    ("name", "rise", "signs"),
+    [
+        ("absorption_to_top_per_um", 0.02, [1, -1]), ("absorption_to_bottom_per_um", -0.02, [1, -1]),
+        ("absorption_per_um", 0.02, [0, 1, 1]), ("absorption_to_bottom_per_um", 0.02, [0, 1, 1]),
+        ("absorption_to_top_per_um", 0.0, [1, -1]),
+    ],
+)  # fmt: skip
+def test_no_step_makes_an_end_of_the_chip_amplify(name: str, rise: float, signs: list[int]) -> None:
+    """Where a chip absorbs nothing at one end, mean and rise move together to both sides, and alone to one."""
+    case = scene({"absorption_per_um": 0.02, "absorption_rise_per_um": rise})
+    amounts = [amount for amount, _ in COLUMNS[name].stencil(case)]
+    assert [np.sign(amount) for amount in amounts] == signs
+
+
+@pytest.mark.parametrize(
     ("name", "side", "changes"),
     [
         ("width_um", -1.0, {"width_um": 495.0}),

@@ -55,7 +55,7 @@ _CHIP = (
     _known("etched_stripes", "module", "side_wall_roughness", "", 0.0, 0.5,
            "Side faces have upright ripples of this rms slope (Laplace's law): stripes of a dry etch."),
     _known("graded_loss", "module", "chip_absorption", "1/cm", 0.0, 300.0,
-           "The chip absorbs more, so much on average, like the square of the height: p-GaN lies at its top."),
+           "The chip absorbs more: this much on average, with the square of the height; p-GaN lies at its top."),
 )  # fmt: skip
 _MODULE = (
     _known("slant_response", "module", "receiver_btdf", "", 0.0, 0.4,

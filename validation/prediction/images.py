@@ -30,7 +30,7 @@ FilmOf = Callable[["Model", float], "Film | None"]
 Ask = Callable[[Sequence[PredictionRequest]], "list[Answer]"]
 
 PER_CM = 1e-4
-"""1/um"""
+"""In 1/um."""
 COLUMNS: dict[str, tuple[str, float]] = {
     "environment.substrate.reflectance": ("substrate_reflectance", 1.0),
     "environment.substrate.sigma_deg": ("substrate_sigma_rad", math.pi / 180.0),
@@ -38,7 +38,8 @@ COLUMNS: dict[str, tuple[str, float]] = {
     "environment.chip_absorption_per_cm": ("absorption_per_um", PER_CM),
 }
 """The worker's column for a path, and that column's unit in the path's own."""
-ABSORPTION = "effects.chip_absorption.absorption_per_cm"
+ABSORBER = "chip_absorption"
+ABSORPTION = f"effects.{ABSORBER}.absorption_per_cm"
 ABSORBING = {
     "even": "absorption_per_um",
     "rising": "absorption_to_top_per_um",
@@ -110,9 +111,10 @@ class Wanted:
     @property
     def columns(self) -> dict[str, tuple[str, float]]:
         """Others by which the worker differentiates: its column, and the column's unit in the path's own."""
-        known, (_, effect, _) = dict(COLUMNS), ABSORPTION.split(".")
+        known = dict(COLUMNS)
         for one in self.model.effects:
-            if one.name == effect:
+            elsewhere = any("profile" in own.get(ABSORBER, {}) for own in self.model.samples.values())
+            if one.name == ABSORBER and one.parameters.get("profile") in ABSORBING and not elsewhere:
                 known[ABSORPTION] = ABSORBING[str(one.parameters["profile"])], PER_CM
         return {path: known[path] for path in self.paths if path in known}
 

@@ -77,11 +77,14 @@ def _chip(scene: Scene, name: str, amount: float) -> Scene:
     return replace(scene, chip=replace(scene.chip, **changes))
 
 
-def _absorbing(scene: Scene, amount: float, rise: float) -> Scene:
-    """So much more on average, and `rise` times that at the top beyond it."""
-    chip = scene.chip
-    more = {"absorption_per_um": amount, "absorption_rise_per_um": rise * amount}
-    return replace(scene, chip=replace(chip, **{name: getattr(chip, name) + by for name, by in more.items()}))
+def _absorption(name: str, rise: float) -> Column:
+    """So much more absorption on average, and `rise` times that at the top beyond it."""
+
+    def move(scene: Scene, amount: float) -> Scene:
+        mean, more = scene.chip.absorption_per_um + amount, scene.chip.absorption_rise_per_um + rise * amount
+        return replace(scene, chip=replace(scene.chip, absorption_per_um=mean, absorption_rise_per_um=more))
+
+    return Column(name, lambda s: s.chip.absorption_per_um, move, _share_of(0.03, 1e-5))
 
 
 def _spaced(scene: Scene, amount: float) -> Scene:
@@ -151,13 +154,13 @@ COLUMNS = {
                lambda s, a: replace(s, substrate=_widened(s.substrate, a)), _share_of(0.3)),
         Column("receiver_reflectance", lambda s: _reflectance(s.receiver.bsdf), _receiver,
                _share_of(0.03), high=0.999),
-        *(Column(name, lambda s: s.chip.absorption_per_um,
-                 lambda s, a, rise=rise: _absorbing(s, a, rise), _share_of(0.03, 1e-5))  # type: ignore[misc]
-          for name, rise in (("absorption_per_um", 0.0), ("absorption_to_top_per_um", 1.0),
-                             ("absorption_to_bottom_per_um", -1.0))),
+        _absorption("absorption_per_um", 0.0),
+        _absorption("absorption_to_top_per_um", 1.0),
+        _absorption("absorption_to_bottom_per_um", -1.0),
     )
 }  # fmt: skip
-"""Those of scenes, by name; per um, rad, or of a share of 1."""
+"""Those of scenes, by name; per um, rad, or of a share of 1. Absorption to the top or to the bottom: its mean, and
+with it its rise to there."""
 
 
 @dataclass(frozen=True)

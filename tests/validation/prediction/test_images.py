@@ -92,6 +92,23 @@ def test_absorption_that_rises_has_a_column_of_its_own(workers: Workers, model: 
     assert np.linalg.norm(own - even) > 0.1 * np.linalg.norm(even)
 
 
+def test_a_profile_that_is_missing_is_refused_by_the_worker(workers: Workers, model: Model) -> None:
+    """For any path; and one that a sample has of its own has no column of the others'."""
+    effect = AppliedEffect(name="chip_absorption", parameters={"absorption_per_cm": 120.0})
+    lacking = model.model_copy(update={"effects": (effect,)})
+    for paths in ((RECEIVER,), (images_module.ABSORPTION,)):
+        with pytest.raises(RemoteError, match="profile"):
+            Predictor(workers).images(lacking, [view(FOUR)], paths)
+    whole = effect.model_copy(update={"parameters": effect.parameters | {"profile": "rising"}})
+    given = model.model_copy(
+        update={"effects": (whole,), "samples": {FOUR.id: {effect.name: {"profile": "falling"}}}}
+    )
+    for one, known in ((given, False), (given.model_copy(update={"samples": {}}), True)):
+        wanted = images_module.Wanted(one, (images_module.ABSORPTION,), None, lambda *_: None)
+        assert (images_module.ABSORPTION in wanted.columns) is known
+        assert (images_module.ABSORPTION in wanted.differences) is not known
+
+
 def test_films_are_asked_for_once(workers: Workers, model: Model) -> None:
     """What is no part of the film moves without a new question; the film's own layers do not."""
     predictor = Predictor(workers)
