@@ -80,6 +80,9 @@ class Effect(Words):
     """Whether the twin can represent what it makes of a scene; else Monte Carlo alone does."""
     walks: ClassVar[bool] = False
     """Whether light takes other ways inside the chips with each value: the twin's images then have other noise."""
+    by_chance: ClassVar[bool] = False
+    """Whether a share of the light, drawn by chance, goes another way: short steps leave the noise of a few rays,
+    long ones bend no more."""
     discrete: ClassVar[bool] = False
     conserves: ClassVar[tuple[Literal["energy", "reciprocity"], ...]] = ()
     excludes: ClassVar[tuple[str, ...]] = ()
@@ -102,6 +105,7 @@ class Effect(Words):
             scope=cls.scope,
             twin=cls.twin,
             walks=cls.walks,
+            by_chance=cls.by_chance,
             discrete=cls.discrete,
             conserves=cls.conserves,
             excludes=cls.excludes,

@@ -38,9 +38,7 @@ class EffectParameter(Words):
         "value", description="What has a slope at off: the parameter, or its square (roughness, slopes, rms)."
     )
     one_sided: bool = Field(False, description="Only one side of off exists.")
-    shape_grid: tuple[float, ...] = Field(
-        (), description="Values to try where the parameter says nothing while the effect is off (a length, say)."
-    )
+    shape_grid: tuple[float, ...] = Field((), description="Values to try of what says nothing at off: a length, say.")
 
     @model_validator(mode="after")
     def _is_whole(self) -> EffectParameter:
@@ -83,6 +81,7 @@ class EffectSpec(Words):
     scope: Scope = Field("global", description="Whether one value holds for all data, per camera or per sample.")
     twin: bool = Field(True, description="Whether the deterministic twin can represent it.")
     walks: bool = Field(False, description="Whether each value has other walks inside the chips, and their noise.")
+    by_chance: bool = Field(False, description="Whether a share of the light, drawn by chance, goes another way.")
     discrete: bool = Field(False, description="No slope at off: tested by a refit, not by the score.")
     conserves: tuple[Literal["energy", "reciprocity"], ...] = ()
     excludes: tuple[Name, ...] = Field((), description="Effects that say the same in another way.")

@@ -16,6 +16,7 @@ class SubstrateLobe(SceneEffect):
 
     name = "substrate_lobe"
     stage = "surface"
+    by_chance = True
     formula = "bsdf -> (1 - m) bsdf + m rho/pi, rho its reflectance"
     reference = "the two ends are those of the paper's bottom types, Gaussian lobe and Lambertian"
     conserves = ("energy",)

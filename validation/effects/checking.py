@@ -61,7 +61,7 @@ def trial_of(known: Known, name: str) -> Iterator[Finding]:
 
 def derivative(ground: Ground, model: Model, spec: EffectSpec, columns: Sequence[Column]) -> Iterator[Finding]:
     """Whether each derivative at off is the same with half and with double the step."""
-    if not is_smooth(spec):
+    if spec.by_chance or not is_smooth(spec):
         yield from _noisy_derivative(ground, model, spec)
         return
     halved, doubled = (signature(ground.sight, model, spec, scale=scale) for scale in (0.5, 2.0))

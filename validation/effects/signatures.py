@@ -265,9 +265,9 @@ class _Moving:
         room = [abs(float(end or 0.0) - float(one.off or 0.0)) for end in (one.lower, one.upper)]
         both, square = min(room) > 0.0, one.score_variable == "square"
         whole = max(room) ** 2 if square else min(room) if both else max(room)
-        if is_smooth(self.spec):
+        if is_smooth(self.spec) and not self.spec.by_chance:
             return scale * STEP_SHARE[one.score_variable] * whole
-        # short steps would leave the noise of Monte Carlo and little else: as far as there is room for
+        # short steps would leave the noise of Monte Carlo, or of a few rays, and little else: as far as there is room
         longest = whole * (1.0 if both and not square else 0.5)
         return min(scale, 1.0) * (longest if square else min(longest, self._room))
 

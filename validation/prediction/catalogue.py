@@ -31,6 +31,10 @@ class Catalogue:
         """Names of a model's effects that the twin cannot represent."""
         return frozenset(one.name for one in model.effects if not self._specs.get(one.name, {}).get("twin", True))
 
+    def by_chance(self, model: Model) -> frozenset[str]:
+        """Names of a model's effects that send a share of the light, drawn by chance, another way."""
+        return frozenset(one.name for one in model.effects if self._specs.get(one.name, {}).get("by_chance", False))
+
     def on_all_light(self, model: Model) -> frozenset[str]:
         """Names of a model's effects on what the twin misses, too; none that sends light other ways."""
         specs = {one.name: self._specs.get(one.name, {}) for one in model.effects}

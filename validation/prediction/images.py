@@ -16,7 +16,7 @@ import numpy as np
 from luxloop.camera import Camera
 from luxloop.errors import InputError
 from luxloop.ray import AnchorRequest, ChipArray, PredictionRequest, RayRequest, ShotRequest
-from validation.prediction.differences import moved_models
+from validation.prediction.differences import SHARE, moved_models
 from validation.prediction.words import POSE_COLUMNS, Anchored, Pose, Predicted, Real, Traced, View
 from validation.sample_values import of_sample
 
@@ -53,11 +53,16 @@ ANCHOR_FUNCTIONS = 200
 JACOBIAN_EXITS, FINE_EXITS = 65_536, 262_144
 """Whose exits columns are taken with, on the way to an anchor and about it: there a fit rests on them, and with fewer
 their own noise adds to its errors (decision 27)."""
+COLUMN_EXITS = 524_288
+"""Whose exits the columns of effects are taken with: what a fit's own parameters leave of them is small, and of a
+quarter of these it was noise that two walks disagreed about (decision 70)."""
 DIFFERENCE_HISTORIES = 1_000_000
 """Of Monte Carlo, where the twin cannot represent an effect that is moved."""
 DIFFERENCE_SHARE = 0.1
 """Of its range, that it is then moved: shorter steps leave the noise of Monte Carlo and little else, longer ones bend
 (walls of 0.5 by 5 % at 0.25)."""
+CHANCE_SHARE = 0.25
+"""Of its range, that an effect is moved which sends a share of the light another way: as far as there is room for."""
 DIFFERENCE = 77
 """What a seed is drawn for, so that no other run shares its random numbers."""
 DIFFERENCE_EXITS = 262_144
@@ -89,6 +94,8 @@ class Wanted:
     """Names of effects that the twin cannot represent."""
     on_all_light: frozenset[str] = frozenset()
     """Names of effects that act on what an anchor has over the twin as on the twin's light."""
+    by_chance: frozenset[str] = frozenset()
+    """Names of effects that send a share of the light, drawn by chance, another way."""
     noise: bool = True
     """Of the anchor's Monte Carlo, with the images."""
 
@@ -179,7 +186,9 @@ def several(
         shots = tuple(_shot(*wanted[number], film_of) for number in group)
         lent = tuple(_shot(lender, wanted[number][1], film_of) for number in group)
         anchor = AnchorRequest(shots=lent, histories=0)
-        requests.append(PredictionRequest(shots=shots, anchor=anchor, exit_seed=str(exit_seed)))
+        requests.append(
+            PredictionRequest(shots=shots, anchor=anchor, exit_histories=COLUMN_EXITS, exit_seed=str(exit_seed))
+        )
     found: dict[int, Real] = {}
     for group, answer in zip(groups, ask(requests), strict=True):
         found |= dict(zip(group, map(_real, answer.arrays["images_per_mm2"]), strict=True))
@@ -349,8 +358,10 @@ def _moves(wanted: Wanted, views: Sequence[View]) -> Iterator[_Move]:
     for path in wanted.differences:
         of_effect = path.startswith("effects.")
         at = wanted.model if wanted.anchor is None or of_effect else wanted.anchor.model
-        traced = of_effect and path.split(".")[1] in wanted.beyond_twin
-        for weight, model in moved_models(at, path, DIFFERENCE_SHARE) if traced else moved_models(at, path):
+        name = path.split(".")[1] if of_effect else ""
+        traced = name in wanted.beyond_twin
+        share = CHANCE_SHARE if name in wanted.by_chance else DIFFERENCE_SHARE if traced else SHARE
+        for weight, model in moved_models(at, path, share):
             yield from (_Move(path, weight, model, at, traced, number) for number in range(len(views)))
 
 

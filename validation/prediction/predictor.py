@@ -77,7 +77,7 @@ class Predictor:
         RemoteError : what a worker refuses, with the field of its shot.
         """
         known = self._catalogue
-        special = known.beyond_twin(model), known.on_all_light(model)
+        special = known.beyond_twin(model), known.on_all_light(model), known.by_chance(model)
         wanted = images.Wanted(model, tuple(paths), anchor, self._films.of, *special, noise=noise)
         found = self._again(lambda: images.predict(wanted, views, self._answers))
         return [self._with_noise_of_data(one, view) for one, view in zip(found, views, strict=True)]

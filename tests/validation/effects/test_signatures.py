@@ -47,6 +47,7 @@ class Pretended:
 
     def __init__(self, image: Callable[[dict[str, Any]], Any]) -> None:
         self.image, self.asked, self.anchors = image, 0, []  # type: ignore[var-annotated]
+        self.models: list[Model] = []
         self.exit_seed = 1
 
     def images(self, model: Model, views: Sequence[View], _: Sequence[str] = (), anchor: Any = None) -> list[Any]:
@@ -58,6 +59,7 @@ class Pretended:
     def several(self, wanted: Sequence[tuple[Model, View]], lender: Model, exit_seed: int = 1) -> list[Any]:
         """The image of each view, in one question."""
         self.exit_seed = exit_seed
+        self.models += [model for model, _ in wanted]
         asked, seen = self.asked + 1, [self.images(model, [view], (), lender) for model, view in wanted]
         self.asked = asked
         return [found.irradiance_per_mm2 for (found,) in seen]
@@ -110,6 +112,20 @@ def test_a_model_that_has_the_effect_is_moved_from_there() -> None:
     model = with_effect(Model(name="m"), applied_to(spec, {"a": 0.2}))
     (column,) = signature(sight_of(predictor, SINGLE), model, spec)
     np.testing.assert_allclose(column.parts[0], 0.4 * ONE, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("at", "values"), [(0.0, (0.0, 0.05, 0.1)), (0.04, (0.08, 0.0)), (0.095, (0.095, 0.0475, 0.0))]
+)
+def test_what_acts_by_chance_is_moved_as_far_as_there_is_room(at: float, values: tuple[float, ...]) -> None:
+    """By half its range from off; from elsewhere to the nearer end, or by half the way to the other one."""
+    share = EffectParameter(name="a", description="", lower=0.0, upper=0.1, off=0.0, one_sided=True)
+    predictor, spec = Pretended(lambda at: BASE + at["mine.a"] * ONE), spec_of(share, by_chance=True)
+    sight = sight_of(predictor, SINGLE)
+    (column,) = signature(sight, with_effect(Model(name="m"), applied_to(spec, {"a": at})), spec)
+    np.testing.assert_allclose(column.parts[0], ONE, rtol=1e-9)
+    moved = [model.effects[0].parameters["a"] for model in predictor.models]
+    assert moved == pytest.approx(values)
 
 
 def test_a_parameter_per_chip_has_a_column_for_each_chip_in_the_views_of_such_modules() -> None:

@@ -109,6 +109,24 @@ def test_a_profile_that_is_missing_is_refused_by_the_worker(workers: Workers, mo
         assert (images_module.ABSORPTION in wanted.differences) is not known
 
 
+def test_what_acts_by_chance_is_moved_far(workers: Workers, model: Model) -> None:
+    """By a quarter of its range: two walks then agree about what a leak of the substrate does."""
+    path = "effects.substrate_leak.leak_share"
+    leak = AppliedEffect(name="substrate_leak", parameters={"leak_share": 0.04, "length_um": 300.0})
+    there = model.model_copy(update={"effects": (leak,), "fit": {path: Fit(free=True, lower=0.0, upper=0.1)}})
+    moves = list(images_module._moves(_by_chance(there, path), [view()]))
+    assert [one.model.leaves()[path] for one in moves] == pytest.approx([0.065, 0.015])
+    runs = [
+        Predictor(workers).images(there, [view()], (path,), Anchored(there, 0, exit_seed=seed)) for seed in (2, 3)
+    ]
+    first, second = (found[0].jacobian_per_mm2[path].ravel() for found in runs)
+    assert first @ second > 0.8 * np.linalg.norm(first) * np.linalg.norm(second)
+
+
+def _by_chance(model: Model, path: str) -> images_module.Wanted:
+    return images_module.Wanted(model, (path,), None, lambda *_: None, by_chance=frozenset(["substrate_leak"]))
+
+
 def test_films_are_asked_for_once(workers: Workers, model: Model) -> None:
     """What is no part of the film moves without a new question; the film's own layers do not."""
     predictor = Predictor(workers)
