@@ -144,7 +144,7 @@ def test_every_request_carries_the_effects_and_the_journal_holds_them(
 
 def test_task_ids_are_those_of_the_effects(running: RunningSet) -> None:
     """The same walk: no id in common without the effect or with another value, every id the same for the same one."""
-    other = LOSS.model_copy(update={"parameters": {"absorption_per_cm": 399.0}})
+    other = LOSS.model_copy(update={"parameters": {"absorption_per_cm": 399.0, "profile": "even"}})
     without, with_it, again, less = (
         tasks(walked(running, f"ids-{number}", model_file(running, f"ids-{number}", *effects)))
         for number, effects in enumerate(((), (LOSS,), (LOSS,), (other,)))
