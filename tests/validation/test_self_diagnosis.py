@@ -88,7 +88,7 @@ def test_an_effect_of_the_catalogue_finds_itself(settings: Settings, monkeypatch
         model = find_model("paper").model_copy(update={"fit": {}})  # nothing of it moves: quick
         with Client(running.settings, local=False, patience_s=60.0) as client:
             predictor, known = Predictor(client), Known.ask(client)
-            few = [known.spec(name) for name in ("vignetting", "veiling_glare", "substrate_lobe")]
+            few = [known.spec(name) for name in ("vignetting", "camera_psf", "substrate_lobe")]
             ground = image_ground(model, predictor, known)
             columns = ground.columns(model, few[0])
             only = Known(tuple(few), {}, {})

@@ -131,7 +131,7 @@ class Rivals:
         block = self._noise(like, found.irradiance_per_mm2, gain / sigma)
 
         def rows(images: Sequence[Real]) -> Real:
-            white = np.array([(one / sigma).ravel() for one in images]).reshape(len(images), -1)
+            white = np.array([(one / sigma).ravel() for one in images]).reshape(len(images), signal.size)
             if block is not None and len(images):
                 block.take_out(white)
             return white

@@ -65,9 +65,9 @@ def test_what_is_expected_of_an_image_counts_the_noise_of_monte_carlo() -> None:
         assert hidden_now < 0.5 * now
 
 
-def rivals_about(predictor: Affected) -> Rivals:
+def rivals_about(predictor: Affected, free: Sequence[str] = PATHS) -> Rivals:
     """Two ripples that look alike, on three samples."""
-    base = fit(MODEL, data("ripple", 1, 0.05), predictor, free=PATHS)
+    base = fit(MODEL, data("ripple", 1, 0.05), predictor, free=free)
     refits = [
         Refitted(Candidate(one, one.parameters[0], (), np.zeros((1, 1))), 0.05, 0.01, base.residual, 0.0, False,
                  MODEL, base)
@@ -110,6 +110,11 @@ def test_what_is_proposed_can_be_written_into_the_manifest() -> None:
         assert shot["file"] == f"images/{shot['id']}.tif"
         ids.add(shot["id"])
     assert any("4 times that of" in one.document()["stanza"] for one in proposals)
+
+
+def test_images_are_proposed_where_no_parameter_of_the_model_moves() -> None:
+    """Regression: there were no columns to whiten, and a diagnosis that could not tell effects apart fell over."""
+    assert rivals_about(Affected(), ()).proposals()
 
 
 def test_a_proposal_that_will_not_do_says_so() -> None:
