@@ -104,7 +104,8 @@ def _mend(ground: Ground, model: Model, spec: EffectSpec, number: int) -> str:
         first, second = (signature(replace(ground.sight, run=run), model, spec)[number] for run in range(RUNS))
         if (apart := _change(second, first, ground.projection)) > STABLE:
             said = f"{allowed}: by other walks inside the chips it is {_percent(apart)} other"
-            return f"{said}, so each value has its own: write walks = True"
+            chance = "where a share of the light goes another way outside them write by_chance = True"
+            return f"{said}; {chance}, else each value has its own: write walks = True"
     return f"{allowed}: is score = 'square' right, or a range smaller?"
 
 
