@@ -13,7 +13,6 @@ class SubstrateLeak(SceneEffect):
 
     name = "substrate_leak"
     stage = "module"
-    by_chance = True
     formula = (
         "share a comes out without loss by Lambert's law, displaced with the density exp(-r/L)/(2 pi L^2), the rest "
         "meets the surface: of its reflectance R it makes (1 - a) R + a, at most 1"

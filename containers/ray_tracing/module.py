@@ -307,6 +307,15 @@ def clear_way(scene: SceneArrays, ray: Real) -> float:
     return float((numbers[of.DISTANCE] - ray[of.Z]) / dz)
 
 
+@borrowing_kernel
+def way_down(scene: SceneArrays, ray: Real) -> float:
+    """Path to the substrate of a ray (module coordinates) that meets it before anything else; else 0."""
+    if ray[of.DZ] >= 0.0:
+        return 0.0
+    what, path = _next(scene, ray)
+    return path if what == _SUBSTRATE else 0.0
+
+
 @inlined_kernel
 def receive(
     scene: SceneArrays, wave: int, ray: Real, stream: Stream, sinks: Sinks, survival: float, recorded: float

@@ -7,8 +7,9 @@ import pytest
 from scipy import integrate, special
 
 from containers.bsdf import GaussianLobe, Lambertian, Mirror, Mixture
-from containers.ray_tracing.twin.closure import bessel_j0, lambert, round_trip
-from containers.ray_tracing.twin.exchange import Exchange
+from containers.ray_tracing.twin.closure import Leak, bessel_j0, lambert, round_trip
+from containers.ray_tracing.twin.exchange import Exchange, sum_up
+from containers.ray_tracing.twin.grid import Grid
 from containers.scene import Array, Receiver, lambertian_receiver
 
 SIGMA = np.radians(5.0)
@@ -82,9 +83,85 @@ def test_response_to_half_of_all_light_halves_what_is_recorded() -> None:
 def test_a_wide_module_is_an_endless_one_in_its_middle() -> None:
     """Uniform light on a receiver eighty distances wide comes back as rho / (1 - rho) of itself at the centre."""
     exchange = Exchange(Array.regular(15, 15, 500.0), Mirror(0.97), RECEIVER, 90.0)
-    x, y = exchange.centres_um
+    x, y = exchange.grid.centres_um
     waves = exchange.solve(np.ones((y.size, x.size)))
-    centre = float(exchange.sum_up(waves, np.zeros(1), np.zeros(1))[0, 0])
+    centre = float(sum_up(waves, np.zeros(1), np.zeros(1))[0, 0])
     assert centre == pytest.approx(0.3395 / (1.0 - 0.3395), rel=5e-3)
-    edge = float(exchange.sum_up(waves, x[-1:], np.zeros(1))[0, 0])
+    edge = float(sum_up(waves, x[-1:], np.zeros(1))[0, 0])
     assert 0.4 * centre < edge < 0.7 * centre
+
+
+@pytest.mark.parametrize("rows", [1, 5])
+@pytest.mark.parametrize("distance_um", [90.0, 300.0, 1200.0])
+@pytest.mark.parametrize("length_um", [1e-6, 200.0, 600.0])
+def test_what_goes_inside_at_a_point_comes_up_as_hankels_integral_says(
+    length_um: float, distance_um: float, rows: int
+) -> None:
+    """Below each chip of a row, however coarse the grid is beside the module; nothing comes round from its end."""
+    layout, step = Array.regular(rows, 1, 400.0), 10.0
+    leak = Leak(0.1, length_um / distance_um)
+    exchange = Exchange(layout, Mirror(0.97), lambertian_receiver(0.0), distance_um, leak=leak)
+    pieces = np.zeros((3, 3))
+    pieces[1, 1] = 1.0
+    leaked = exchange.wide.laid(pieces, step, layout)
+    x, y = np.array([0.0, 130.0]), np.array([0.0, 190.0])
+    found = sum_up(exchange.solve(np.zeros(exchange.grid.shape), leaked), x, y)
+
+    def around(r: float) -> float:
+        def wave(k: float) -> float:
+            up = k * distance_um * special.k1(k * distance_um) if k else 1.0
+            return float(k * special.j0(k * r) * up * (1.0 + (k * length_um) ** 2) ** -1.5 / (2.0 * np.pi))
+
+        return float(integrate.quad(wave, 0.0, 25.0 / distance_um, limit=2000)[0])
+
+    expected = [
+        [sum(around(float(np.hypot(a - cx, b - cy))) for cx, cy in layout.centres_um.reshape(-1, 2)) for a in x]
+        for b in y
+    ]
+    np.testing.assert_allclose(found, expected, rtol=0.02)
+
+
+def test_a_leak_of_next_to_nothing_changes_next_to_nothing() -> None:
+    """Though its grid is wider."""
+    seen = Receiver(Lambertian(0.35), response=np.linspace(0.7, 1.0, 9))
+    layout, at = Array.regular(1, 1, 400.0), np.array([0.0, 150.0])
+    light = {}
+    for share in (0.0, 1e-9):
+        exchange = Exchange(layout, GaussianLobe(0.97, SIGMA), seen, 180.0, leak=Leak(share, 3.0))
+        x, y = exchange.grid.centres_um
+        light[share] = sum_up(exchange.solve(np.exp(-np.add.outer(y**2, x**2) / 1e4)), at, at)
+    np.testing.assert_allclose(light[1e-9], light[0.0], rtol=1e-6)
+
+
+def test_a_module_much_longer_than_wide_has_light() -> None:
+    """Fifty chips in a row far below their receiver: one cell across, many along."""
+    exchange = Exchange(Array.regular(1, 50, 100.0), Mirror(0.97), RECEIVER, 4000.0)
+    light = sum_up(exchange.solve(np.ones(exchange.grid.shape)), np.zeros(1), np.zeros(1))
+    assert 0.0 < light[0, 0] < 0.05
+
+
+def test_the_light_of_a_module_s_receiver_solves_its_integral_equation() -> None:
+    """Over a mirror I(p) = rho R sum over the module of K(|p - q|) (E(q) + I(q)), K of Lambert from 2 D away."""
+    layout, n = Array.regular(3, 3, 300.0), 45
+    x = ((np.arange(n) + 0.5) / n * 2.0 - 1.0) * layout.half_x_um
+    exchange = Exchange(layout, Mirror(0.97), RECEIVER, 150.0)
+    gx, gy = exchange.grid.centres_um
+    light = lambda a, b: np.exp(-np.add.outer((b - 100.0) ** 2, a**2) / 2e5)  # noqa: E731
+    found = sum_up(exchange.solve(light(gx, gy)), x, x)
+    r2 = np.add.outer(np.subtract.outer(x, x) ** 2, np.subtract.outer(x, x) ** 2).transpose(0, 2, 1, 3)
+    kernel = 0.35 * 0.97 * (x[1] - x[0]) ** 2 * 300.0**2 / (np.pi * (r2 + 300.0**2) ** 2)
+    matrix = kernel.reshape(n * n, n * n)
+    again = np.linalg.solve(np.eye(n * n) - matrix, matrix @ light(x, x).ravel())
+    np.testing.assert_allclose(found.ravel(), again, rtol=0.004)
+
+
+@pytest.mark.parametrize("beyond_um", [0.0, 500.0, 555.0])
+def test_a_grid_gives_back_what_was_put_on_it_and_cuts_at_the_edge(beyond_um: float) -> None:
+    """Light at its centres; of a piece about a chip what lies inside."""
+    layout = Array.regular(2, 3, 100.0)
+    grid = Grid.of(layout, 15.0, beyond_um)
+    light = np.random.default_rng(1).random(grid.shape)
+    np.testing.assert_allclose(grid.sum_up(grid.waves(light), *grid.centres_um), light, atol=1e-12)
+    np.testing.assert_allclose(grid.inside(grid.waves(light)), light, atol=1e-12)
+    waves = grid.laid(np.ones((80, 80)), 10.0, layout)  # 800 um wide: of each chip's all of the module
+    assert waves[0, 0].real * grid.step_um[0] * grid.step_um[1] == pytest.approx(6 * 20 * 30)

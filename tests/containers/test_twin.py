@@ -194,7 +194,8 @@ def test_light_of_chips_that_is_remembered_is_the_same_to_the_last_bit(dim: tupl
 def test_remembered_light_lasts_as_long_as_its_exits_and_within_its_room(dim: tuple[Scene, Exits]) -> None:
     """Exits that nobody else holds are not kept for it, nor is the light of others taken for theirs."""
     _, exits = dim
-    light, made = (ChipMap(np.zeros((2, 1, 8, 8)), *2 * (Axis(0.0, 1.0, 7, "even"),), 1), 0.0), []
+    axis, made = Axis(0.0, 1.0, 7, "even"), []
+    light = ChipMap(np.zeros((2, 1, 8, 8)), np.zeros((2, 0, 0)), 1.0, axis, axis, 1), 0.0
 
     def make() -> tuple[ChipMap, float]:
         made.append(1)

@@ -19,7 +19,8 @@ from containers.ray_tracing.field import Axis, CellField
 from containers.ray_tracing.packing import emission_arrays
 from containers.ray_tracing.tally import Box
 from containers.ray_tracing.twin.closure import Leak, leaking, round_trip
-from containers.ray_tracing.twin.direct import ARRIVES, direct_light, lambertian_part, open_way
+from containers.ray_tracing.twin.direct import direct_light, lambertian_part, open_way
+from containers.ray_tracing.twin.direct_kernel import ARRIVES, INSIDE, SEEN_MORE
 from containers.ray_tracing.twin.shadow import correction, low_axis, periods_seen
 from containers.scene import Cell, Receiver, Scene
 from luxloop.errors import InputError
@@ -52,8 +53,9 @@ def cell_field(
 
     Notes
     -----
-    (1 - rho_r (T + dT)) E = E0, T diagonal in the waves of the cell and dT between its lowest; the higher ones
-    lose to the chips what the mean does. What is recorded differs from what arrives by response and plate.
+    (1 - rho_r (T + dT)) E = E0, E0 direct light and what of it comes up out of the substrate, T diagonal in the waves
+    of the cell and dT between its lowest; the higher ones lose to the chips what the mean does. What is recorded
+    differs from what arrives by response and plate.
     """
     if not isinstance(scene.layout, Cell):
         raise InputError("layout", type(scene.layout).__name__, "a cell that repeats", "use twin.module")
@@ -61,10 +63,8 @@ def cell_field(
     way, emission = open_way(scene, Box.of(scene)), emission_arrays(scene)
     tally = direct_light(way, emission, exits, seed, blocks=blocks, threads=threads)
 
-    def field_of(layer: int) -> CellField:
-        return tally.cell_field(layer, spacing, scene.height_um)
-
-    arrives = field_of(ARRIVES)
+    layers = [tally.cell_field(layer, spacing, scene.height_um) for layer in range(tally.bins.shape[1])]
+    arrives = layers[ARRIVES]
     window = cloud_window(arrives.x, tally.box.step_um), cloud_window(arrives.y, tally.box.step_um)
     cloud = 1.0 / np.multiply.outer(window[1], window[0])
     k = np.sqrt(np.add.outer(arrives.y.wavenumber_per_um**2, arrives.x.wavenumber_per_um**2))
@@ -73,12 +73,15 @@ def cell_field(
     T = leaking(round_trip(scene.substrate, receiver, x), leak, receiver, x)
     low = low_axis(arrives.x, periods_seen(scene)), low_axis(arrives.y, periods_seen(scene))
     dT = correction(way, emission, *low, seed=seed, threads=threads) if shadow else None
-    direct = arrives.coefficients * cloud
-    total = _all_light(direct, kept, T, dT, arrives)
-    if tally.bins.shape[1] > 1:
+    direct = np.stack([one.coefficients for one in layers], axis=1) * cloud
+    if leak.share:
+        up, seen = leak.rises(x, scene.substrate, receiver)
+        direct = direct[:, :INSIDE] + direct[:, INSIDE, None] * np.stack([up, seen - up])
+    total = _all_light(direct[:, ARRIVES], kept, T, dT, arrives)
+    if direct.shape[1] > 1:
         seen = round_trip(scene.substrate, receiver, x, recorded=True)
         more = leaking(seen, leak, receiver, x, recorded=True) - T
-        total = total + field_of(1).coefficients * cloud + kept * more * total
+        total = total + direct[:, SEEN_MORE] + kept * more * total
     return replace(arrives, coefficients=total * plate(receiver, k))
 
 

@@ -10,6 +10,7 @@ T(k) is the transform of one round trip receiver - substrate - receiver, the sub
     mirror       2x K1(2x)                       x = k D: a mirror image of the place, 2 D away, seen by Lambert's law
     Lambertian   (x K1(x))^2                     down and up again, each by Lambert's law
     lobe         mean of J0(x |t + t'|)          t, t' = tan theta of the ways down and up
+    inside       (x K1(x))^2 / (1 + (k L)^2)^(3/2)   of what leaks (`Leak`), displaced with exp(-r / L) / (2 pi L^2)
 
 Source of the first two: the transform of h^2 / (pi (r^2 + h^2)^2) is kh K1(kh). Neglected: chips (see `shadow`).
 """
@@ -56,8 +57,7 @@ def round_trip(substrate: Bsdf, receiver: Receiver, x: ArrayLike, *, recorded: b
     at = np.asarray(x, float)
     response = receiver.response if recorded else np.ones(2)
     first = sum(share * _transform(kind, sigma, at, response) for kind, sigma, share in ways_of(substrate))
-    _, followed = lambertian_part(receiver.bsdf)
-    specular = sum(share for kind, _, share in ways_of(followed) if kind is not Lambertian)
+    specular = _specular(receiver)
     if specular == 0.0:
         return np.asarray(first)
     second = sum(a * b * _twice(kinds, at) for a, b, kinds in _pairs(substrate))
@@ -78,6 +78,19 @@ class Leak(NamedTuple):
     def displaced(self, x: Real) -> Real:
         """Transform of exp(-r / L) / (2 pi L^2) at x = k D."""
         return np.asarray((1.0 + (x * self.length) ** 2) ** -1.5)
+
+    def rises(self, x: Real, substrate: Bsdf, receiver: Receiver) -> Real:
+        """(2, *x.shape): transforms at x = k D of what arrives, and is recorded, of light inside the substrate.
+
+        Of what a receiver's mirror or lobe sends down again a second arrival is included, as in `round_trip`.
+        """
+        first, specular = lambert(x), _specular(receiver)
+        again = specular * (
+            (1.0 - self.share) * _thrice(substrate, x) + self.share * self.displaced(x) * _stretched(x)
+        )
+        response = receiver.response
+        arrives, recorded = first + again, _rising(x, response) + again * response.mean()
+        return np.asarray(self.displaced(x) * np.stack([arrives, recorded]))
 
 
 def leaking(trip: Real, leak: Leak, receiver: Receiver, x: Real, *, recorded: bool = False) -> Real:
@@ -115,6 +128,25 @@ def ways_of(bsdf: Bsdf) -> list[tuple[type[Bsdf], float, float]]:
     )
 
 
+def _specular(receiver: Receiver) -> float:
+    """What of the light a receiver's mirror and lobes send back."""
+    _, followed = lambertian_part(receiver.bsdf)
+    return float(sum(share for kind, _, share in ways_of(followed) if kind is not Lambertian))
+
+
+def _thrice(substrate: Bsdf, x: Real) -> Real:
+    """From the substrate up to a mirror, down, and up again."""
+    parts = (
+        share * (_stretched(x) if kind is Lambertian else lambert(3.0 * x)) for kind, _, share in ways_of(substrate)
+    )
+    return np.asarray(sum(parts))
+
+
+def _stretched(x: Real) -> Real:
+    """Up to a mirror and down, and up once more by Lambert's law."""
+    return lambert(2.0 * x) * lambert(x)
+
+
 def _pairs(substrate: Bsdf) -> list[tuple[float, float, tuple[bool, bool]]]:
     ways = [(kind is Lambertian, share) for kind, _, share in ways_of(substrate)]
     return [(a, b, (first, second)) for first, a in ways for second, b in ways]
@@ -138,9 +170,8 @@ def _transform(kind: type[Bsdf], sigma: float, x: Real, response: Real) -> Real:
     """Of one kind of surface without loss."""
     flat = bool(np.ptp(response) == 0.0)
     if kind is Lambertian:
-        last = response[0] * lambert(x) if flat else _seen(x, response)
-        return np.asarray(lambert(x) * last)
-    mirror = response[0] * lambert(2.0 * x) if flat else _seen(2.0 * x, response)
+        return np.asarray(lambert(x) * _rising(x, response))
+    mirror = _rising(2.0 * x, response)
     if kind is Mirror:
         return np.asarray(mirror)
     table = lobe_table(sigma)
@@ -148,9 +179,16 @@ def _transform(kind: type[Bsdf], sigma: float, x: Real, response: Real) -> Real:
     return np.asarray(mirror + weight * _interpolated(x, table))
 
 
-def _seen(x: Real, response: Real) -> Real:
-    """Lambert's transform where arrivals count by their angle: x K1(x) where all count alike.
+def _rising(x: Real, response: Real) -> Real:
+    """Lambert's transform where arrivals count by their angle: x K1(x) where all count alike."""
+    return response[0] * lambert(x) if np.ptp(response) == 0.0 else _seen(x, response)
 
+
+def _seen(x: Real, response: Real) -> Real:
+    """That of a response that changes with the angle.
+
+    Notes
+    -----
     Many are read between nodes at equal steps of sqrt(x); up to x = 30 that errs by less than 1e-4.
     """
     if x.size > SEEN_NODES:

@@ -1,10 +1,11 @@
 """Direct light: stored exits of a chip, followed until they first reach the receiver, with frozen random numbers.
 
 What the substrate and other chips do on the way is traced; what the receiver sends back by Lambert's law is not
-(`closure` reckons it). Reflections at the receiver that are no Lambert scattering, a mirror's or a lobe's, are
-followed, and each of their arrivals counts. Everything is arranged so that small changes of a scene make small
-changes of the map: the substrate's reflectance is a factor for each bounce and not a lottery, and an arrival is
-shared among the four bins around it in proportion to its distance, so that it moves from bin to bin without a jump.
+(`closure` reckons it), nor where light comes out again that goes on inside the substrate. Reflections at the receiver
+that are no Lambert scattering, a mirror's or a lobe's, are followed, and each of their arrivals counts. Everything is
+arranged so that small changes of a scene make small changes of the map: the substrate's reflectance is a factor for
+each bounce and not a lottery, and an arrival is shared among the four bins around it in proportion to its distance,
+so that it moves from bin to bin without a jump.
 """
 
 from __future__ import annotations
@@ -20,7 +21,6 @@ from containers.ray_tracing.arrays import (
     ENDS,
     HALF_X,
     HALF_Y,
-    LEAK_SHARE,
     ORIGIN_X,
     ORIGIN_Y,
     PERIODIC,
@@ -37,7 +37,16 @@ from containers.ray_tracing.kernel import scratch
 from containers.ray_tracing.monte_carlo import BLOCK
 from containers.ray_tracing.packing import scene_arrays
 from containers.ray_tracing.tally import OPTICAL_EVENTS, Box, Tally, nowhere
-from containers.ray_tracing.twin.direct_kernel import IMAGES, Arrivals, BirthArrays, WayArrays, land_direct
+from containers.ray_tracing.twin.direct_kernel import (
+    IMAGES,
+    INSIDE,
+    SEEN_MORE,
+    Arrivals,
+    BirthArrays,
+    WayArrays,
+    land_direct,
+    land_inside,
+)
 from containers.ray_tracing.twin.parallel import in_parallel
 from containers.ray_tracing.twin.ways import Dark, Ways
 from containers.scene import LEAST_INDEX, Array, Chip, Emission, Face, Receiver, Scene
@@ -47,8 +56,6 @@ Real = NDArray[np.float64]
 
 UNKNOWN = Arrivals(np.zeros((0, 3)), np.zeros(0, np.int8))
 """Of exits that nobody has followed yet."""
-ARRIVES, SEEN_MORE = range(2)
-"""Layers of the bins: light that arrives, and by how much more of it is recorded (`Receiver.response`)."""
 
 
 @dataclass(frozen=True)
@@ -75,11 +82,10 @@ class Way:
     def endless(self) -> Way:
         """The same chips in a cell that repeats, on a substrate that does not leak: what chips do is asked alone."""
         numbers, flags = self.scene.numbers.copy(), self.scene.flags.copy()
-        numbers[LEAK_SHARE] = 0.0
         numbers[[HALF_X, HALF_Y]], numbers[[ORIGIN_X, ORIGIN_Y, TILT_X, TILT_Y]] = np.inf, 0.0
         flags[[PERIODIC, WALLS]] = 1, 0
         scene = self.scene._replace(numbers=numbers, flags=flags)
-        return replace(self, arrays=self.arrays._replace(scene=scene), bare=None)
+        return replace(self, arrays=self.arrays._replace(scene=scene, leak_share=0.0), bare=None)
 
 
 def without_loss(bsdf: Bsdf) -> tuple[Bsdf, float]:
@@ -130,7 +136,8 @@ def open_way(scene: Scene, box: Box) -> Way:
     chip = (
         scene.chip if scene.chip.bottom != "contact" else replace(scene.chip, bottom="mirror", mirror=scene.substrate)
     )
-    black = replace(scene, chip=chip, substrate=white, receiver=replace(scene.receiver, bsdf=Lambertian(0.0)))
+    receiver = replace(scene.receiver, bsdf=Lambertian(0.0))
+    black = replace(scene, chip=chip, substrate=white, receiver=receiver, leak_share=0.0, leak_um=0.0)
     arrays = scene_arrays(black)
     rest, bare = arrays, None
     if followed == Lambertian(0.0):
@@ -139,7 +146,7 @@ def open_way(scene: Scene, box: Box) -> Way:
         rest = scene_arrays(replace(black, receiver=Receiver(followed)))
     square = not isinstance(scene.layout, Array) or scene.layout.rows == scene.layout.columns
     images = 1 if box.folded else len(IMAGES) if square else len(IMAGES) // 2
-    return Way(WayArrays(arrays, rest, kept, box.numbers), bare, box, images)
+    return Way(WayArrays(arrays, rest, kept, scene.leak_share, box.numbers), bare, box, images)
 
 
 def _taking_all(chip: Chip) -> Chip:
@@ -161,7 +168,7 @@ def direct_light(
     threads: int | None = None,
     known: Ways | None = None,
 ) -> Tally:
-    """Where exits first reach the receiver, group by group; bins (group, layer, y, x).
+    """Where exits first reach the receiver, and where some go on inside the substrate; bins (group, layer, y, x).
 
     Parameters
     ----------
@@ -172,13 +179,15 @@ def direct_light(
 
     Notes
     -----
-    A bin holds the light around its centre, with weights that fall linearly to 0 one bin's width away.
+    A bin holds the light around its centre, with weights that fall linearly to 0 one bin's width away. Layers are
+    `ARRIVES`, where it matters `SEEN_MORE`, and of a substrate that leaks all three of `direct_kernel`.
     """
     own, blocks = exits.ends.shape[0], blocks or exits.ledger.shape[1]
     groups = groups or own
     box, tables = way.box, way.scene.surfaces.tables
     response = tables[way.scene.flags[RESPONSE_AT] :][: way.scene.flags[RESPONSE]]
-    bins = np.zeros((groups, 1 if np.all(response == 1.0) else 2, box.rows, box.columns))
+    layers = INSIDE + 1 if way.arrays.leak_share else SEEN_MORE + 1 if np.any(response != 1.0) else 1
+    bins = np.zeros((groups, layers, box.rows, box.columns))
 
     sets, births = _sets_of(exits)
     per_um = 0.0 if exits.births is None else 1.0 / exits.births.width_um
@@ -194,10 +203,13 @@ def direct_light(
             for group in range(together * own // groups, (together + 1) * own // groups):
                 mine = slice(one.ends[group, 0], one.ends[group, blocks])
                 weights = np.zeros(0, np.float32) if one.weights is None else one.weights[mine]
+                born, into = BirthArrays(counts, per_um, way.images), bins[together]
                 land_direct(
                     way.arrays, emission, numbers, group, own, one.first_block * BLOCK, one.rays[mine], weights,
-                    one.notes[mine], BirthArrays(counts, per_um, way.images), its[group], lost, work, bins[together],
+                    one.notes[mine], born, its[group], lost, work, into,
                 )  # fmt: skip
+                if way.arrays.leak_share:
+                    land_inside(way.arrays, emission, one.rays[mine], weights, one.notes[mine], born, work, into)
 
     in_parallel(land, range(groups), threads)
     ledger = exits.ledger[:, :blocks].sum(axis=1).reshape(groups, -1, len(ENDS)).sum(axis=1)

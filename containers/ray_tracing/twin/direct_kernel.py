@@ -33,7 +33,7 @@ from containers.ray_tracing.arrays import (
 )
 from containers.ray_tracing.chip import OUT, walk_chip
 from containers.ray_tracing.kernel import Scratch, leave_chip, take_exit, weight_of
-from containers.ray_tracing.module import INTO_CHIP, clear_way, walk_module
+from containers.ray_tracing.module import INTO_CHIP, clear_way, walk_module, way_down
 from containers.ray_tracing.philox import RECEIVER as RECEIVER_KIND
 from containers.ray_tracing.philox import SUBSTRATE, Stream, follow_up, start
 from containers.ray_tracing.recording import recorded_share
@@ -48,6 +48,9 @@ rectangle, the first one that of anything."""
 ALONE, LOST, MOST_BOUNCES = -1, -2, 127
 """What else becomes of an exit than some bounces and the receiver: it meets a chip, bounces more often, or loses
 weight on its way, so that it is followed by itself; or it ends elsewhere."""
+ARRIVES, SEEN_MORE, INSIDE = range(3)
+"""Layers of the bins: light that arrives, and by how much more of it is recorded (`Receiver.response`); and, on a
+substrate that leaks, light that goes on inside it, where it does."""
 FAINTEST = 1e-6
 """Share of a ray's weight below which the reflections that are followed at the receiver end."""
 
@@ -56,11 +59,13 @@ class WayArrays(NamedTuple):
     """A scene for direct light, as kernels read it."""
 
     scene: SceneArrays
-    """With a black receiver and a substrate that takes nothing."""
+    """With a black receiver and a substrate that takes nothing and does not leak."""
     receiver: SceneArrays
     """With what of the receiver is followed."""
     kept: float
-    """What the substrate keeps at each bounce."""
+    """What the substrate keeps at each bounce, of what does not leak."""
+    leak_share: float
+    """Share of the light at the substrate that goes on inside it."""
     box: Real
     """As `Sinks.box`."""
 
@@ -151,9 +156,33 @@ def land_direct(
         landed = _lands(scene, wave, ray, stream, sinks, trace)
         while landed:
             _arrive(way, ray, stream[2 + SUBSTRATE], births, notes, number, bins)
-            landed = _sent_on(way, wave, ray, stream, faintest) and reaches_receiver(
-                scene, wave, ray, stream, sinks, trace
-            )
+            landed = _sent_on(way, wave, ray, stream, faintest)
+            if landed and way.leak_share > 0.0:
+                _go_inside(way, ray, stream[2 + SUBSTRATE], births, notes, number, bins)
+            landed = landed and reaches_receiver(scene, wave, ray, stream, sinks, trace)
+
+
+@borrowing_kernel
+def land_inside(
+    way: WayArrays,
+    emission: EmissionArrays,
+    rays: Single,
+    weights: Single,
+    notes: Single,
+    births: BirthArrays,
+    scratch: Scratch,
+    bins: Real,
+) -> None:
+    """Put what goes on inside the substrate of exits that first meet it into `bins`; parameters as `land_direct`'s.
+
+    No walls stand in the way: who has them knows no twin.
+    """
+    _, ray, _, _, _ = scratch
+    for number in range(rays.shape[0]):
+        take_exit(emission, rays, weights, number, 0.0, ray)
+        ray[X] += ray[CHIP_X]
+        ray[Y] += ray[CHIP_Y]
+        _go_inside(way, ray, 0, births, notes, number, bins)
 
 
 @inlined_kernel
@@ -184,33 +213,56 @@ def reaches_receiver(scene: SceneArrays, wave: int, ray: Real, stream: Stream, s
 def _arrive(
     way: WayArrays, ray: Real, bounces: int, births: BirthArrays, notes: Single, number: int, bins: Real
 ) -> None:
-    """Put a ray that is at the receiver into the bins, or its images, each with the weight of its birthplace."""
-    scene, x, y = way.scene, ray[X], ray[Y]
+    """Put a ray that is at the receiver into the bins."""
+    weight = ray[WEIGHT] * _kept_after(way, bounces)
+    _share_out(way, ray[X], ray[Y], ARRIVES, weight, births, notes, number, bins)
+    if bins.shape[0] > 1:
+        more = weight * (recorded_share(way.scene, ray[DZ]) - 1.0)
+        _share_out(way, ray[X], ray[Y], SEEN_MORE, more, births, notes, number, bins)
+
+
+@borrowing_kernel
+def _go_inside(
+    way: WayArrays, ray: Real, bounces: int, births: BirthArrays, notes: Single, number: int, bins: Real
+) -> None:
+    """Put what goes on inside the substrate of a ray on its way there into the bins; nothing if it meets a chip."""
+    path = way_down(way.scene, ray)
+    if path > 0.0:
+        x, y = ray[X] + path * ray[DX], ray[Y] + path * ray[DY]
+        weight = ray[WEIGHT] * _kept_after(way, bounces) * way.leak_share
+        _share_out(way, x, y, INSIDE, weight, births, notes, number, bins)
+
+
+@inlined_kernel
+def _kept_after(way: WayArrays, bounces: int) -> float:
+    """What is left of a ray after some bounces at the substrate."""
+    if bounces == 0:
+        return 1.0
+    once = way.kept * (1.0 - way.leak_share)
+    return once if bounces == 1 else once ** float(bounces)  # of most there is one: no power
+
+
+@inlined_kernel
+def _share_out(
+    way: WayArrays, x: float, y: float, layer: int, weight: float,
+    births: BirthArrays, notes: Single, number: int, bins: Real,
+) -> None:  # fmt: skip
+    """Put a weight, or its images by birthplace, into a layer of the bins; in a cell that repeats, into the cell."""
+    scene = way.scene
     if scene.flags[PERIODIC]:
         x -= scene.numbers[SPACING] * floor(x / scene.numbers[SPACING] + 0.5)
         y -= scene.numbers[SPACING] * floor(y / scene.numbers[SPACING] + 0.5)
-    weight = ray[WEIGHT]
-    if bounces > 0:  # of most there is one: no power
-        weight *= way.kept if bounces == 1 else way.kept ** float(bounces)
-    more = weight * (recorded_share(scene, ray[DZ]) - 1.0) if bins.shape[0] > 1 else 0.0
     rows, columns = births.weights.shape
     if rows == 0:
-        _put(bins, way.box, x, y, weight, more)
+        _deposit(bins, layer, way.box, x, y, weight)
         return
     born_x, born_y = notes[number, BORN_X] * births.per_um, notes[number, BORN_Y] * births.per_um
     for image in range(births.images):
         to_x, to_y, swapped = IMAGES[image]
         column = min(max(int(((born_y if swapped else born_x) * to_x + 0.5) * columns), 0), columns - 1)
         row = min(max(int(((born_x if swapped else born_y) * to_y + 0.5) * rows), 0), rows - 1)
-        share = births.weights[row, column] / births.images
-        _put(bins, way.box, (y if swapped else x) * to_x, (x if swapped else y) * to_y, share * weight, share * more)
-
-
-@inlined_kernel
-def _put(bins: Real, box: Real, x: float, y: float, weight: float, more: float) -> None:
-    _deposit(bins, 0, box, x, y, weight)
-    if bins.shape[0] > 1:
-        _deposit(bins, 1, box, x, y, more)
+        share = births.weights[row, column] / births.images * weight
+        _deposit(bins, layer, way.box, (y if swapped else x) * to_x, (x if swapped else y) * to_y, share)
 
 
 @inlined_kernel

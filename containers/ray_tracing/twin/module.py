@@ -2,6 +2,8 @@
 
     direct light of one chip among its neighbours  x  places and powers  +  round trips inside the module (`exchange`)
 
+What of direct light goes on inside the substrate is laid at the places of chips, too, and comes up in `exchange`.
+
 Each stored exit serves all chips and, where the emission is symmetric, all eight of its images, so that few of them
 make a smooth map. Of powers and displacements everything is in it but that neighbours stand elsewhere.
 """
@@ -22,8 +24,10 @@ from containers.ray_tracing.packing import emission_arrays
 from containers.ray_tracing.tally import Box, Tally
 from containers.ray_tracing.twin.cell import SEED, cloud_window
 from containers.ray_tracing.twin.closure import Leak
-from containers.ray_tracing.twin.direct import ARRIVES, Way, direct_light, open_way
-from containers.ray_tracing.twin.exchange import Complex, Exchange
+from containers.ray_tracing.twin.direct import Way, direct_light, open_way
+from containers.ray_tracing.twin.direct_kernel import ARRIVES, INSIDE
+from containers.ray_tracing.twin.exchange import Exchange, Waves, sum_up
+from containers.ray_tracing.twin.grid import Complex
 from containers.ray_tracing.twin.held import Held
 from containers.ray_tracing.twin.shadow import RAYS, correction
 from containers.ray_tracing.twin.ways import Ways
@@ -88,24 +92,24 @@ class ModuleTwin:
 
         key = digest_of(way, lit, id(exits), blocks, groups, shadow_rays, seed) if known is not None else ""
         self.chip, lost = make() if known is None else known.of(key, exits, make)
-        self.exchange = Exchange(
-            self.layout, scene.substrate, scene.receiver, scene.distance_um, lost, Leak.of(scene)
-        )
+        leak = Leak.of(scene)
+        self.exchange = Exchange(self.layout, scene.substrate, scene.receiver, scene.distance_um, lost, leak)
         self._recorded = self.chip.coefficients.sum(axis=1)
 
     def mean(self, x_um: Real, y_um: Real) -> Real:
         """The map (y, x) at every crossing of the given places."""
-        waves, recorded = self._waves(self.chip.coefficients[:, ARRIVES].mean(axis=0)), self._recorded.mean(axis=0)
-        return self._through_plate(
-            lambda x, y: self._laid(recorded, x, y) + self.exchange.sum_up(waves, x, y), x_um, y_um
-        )
+        chip = self.chip
+        waves = self._waves(chip.coefficients[:, ARRIVES].mean(axis=0), chip.leaked.mean(axis=0))
+        recorded = self._recorded.mean(axis=0)
+        return self._through_plate(lambda x, y: self._laid(recorded, x, y) + sum_up(waves, x, y), x_um, y_um)
 
     def of_groups(self, x_um: Real, y_um: Real) -> Real:
         """The map of each group, (group, y, x)."""
-        waves = [self._waves(one) for one in self.chip.coefficients[:, ARRIVES]]
+        each = zip(self.chip.coefficients[:, ARRIVES], self.chip.leaked, strict=True)
+        waves = [self._waves(*one) for one in each]
 
         def light(x: Real, y: Real) -> Real:
-            again = np.stack([self.exchange.sum_up(one, x, y) for one in waves])
+            again = np.stack([sum_up(one, x, y) for one in waves])
             return np.asarray(np.stack([self._laid(one, x, y) for one in self._recorded]) + again)
 
         return self._through_plate(light, x_um, y_um)
@@ -133,9 +137,12 @@ class ModuleTwin:
         histories = self.chip.histories
         return ModuleField(coefficients, x, y, histories, 0.0, per_m2=1e6)
 
-    def _waves(self, chip: Real) -> Complex:
-        """What comes again of the direct light of chips with these coefficients."""
-        return self.exchange.solve(self._laid(chip, *self.exchange.centres_um))
+    def _waves(self, arrives: Real, leaked: Real) -> Waves:
+        """All light but what comes directly from chips with these coefficients (y, x), which leak so much (y, x)."""
+        exchange, inside = self.exchange, None
+        if leaked.size:
+            inside = exchange.wide.laid(leaked, self.chip.step_um, self.layout)
+        return exchange.solve(self._laid(arrives, *exchange.grid.centres_um), inside)
 
     def _laid(self, chip: Real, x_um: Real, y_um: Real) -> Real:
         """Direct light (y, x) of all chips, from the coefficients of one.
@@ -173,9 +180,16 @@ def open_array(scene: Scene) -> Array:
 
 @dataclass(frozen=True)
 class ChipMap:
-    """Irradiance (1/um^2 per emitted flux) of one chip: coefficients (group, layer, y, x) and axes of a series."""
+    """Direct light of one chip, per emitted flux.
+
+    coefficients : (group, layer, y, x), irradiance of the receiver in 1/um^2, in functions of the axes x and y.
+    leaked : (group, y, x), what goes on inside the substrate, by squares of `step_um` about the chip; (group, 0, 0)
+        where none does.
+    """
 
     coefficients: Real
+    leaked: Real
+    step_um: float
     x: Axis
     y: Axis
     histories: int
@@ -183,7 +197,7 @@ class ChipMap:
     @property
     def nbytes(self) -> int:
         """In memory."""
-        return int(self.coefficients.nbytes)
+        return int(self.coefficients.nbytes + self.leaked.nbytes)
 
 
 class Lights(Held[tuple[ChipMap, float]]):
@@ -200,7 +214,7 @@ class Lights(Held[tuple[ChipMap, float]]):
 def digest_of(way: Way, emission: EmissionArrays, *facts: object) -> str:
     """Of all that decides the light of one chip among its neighbours."""
     traced = way.arrays
-    digest = sha256(repr((traced.kept, *facts)).encode())
+    digest = sha256(repr((traced.kept, traced.leak_share, *facts)).encode())
     for part in (*emission, traced.box, *traced.scene.parts, *traced.receiver.parts):
         digest.update(repr(part.shape).encode() + part.tobytes())
     return digest.hexdigest()
@@ -226,19 +240,20 @@ def surroundings(scene: Scene, layout: Array) -> tuple[Scene, Box]:
 
 
 def one_chip(scene: Scene, tally: Tally) -> ChipMap:
-    """The series of one chip's direct light, out of its bins."""
+    """One chip's direct light, out of its bins."""
     box = tally.box
     bins = box.columns if box.folded else box.columns // 2
     reach = bins * box.step_um
     modes = min(int(TAPER_END * CUTOFF_X / scene.height_um * reach / np.pi), bins - 1)
-    layers = range(tally.bins.shape[1])
+    layers, leaks = range(tally.bins.shape[1])[:INSIDE], tally.bins.shape[1] > INSIDE
+    leaked = tally.cell_bins(INSIDE) / tally.histories if leaks else np.zeros((tally.groups, 0, 0))
     fields = [tally.cell_field(layer, 2.0 * reach, scene.height_um, modes) for layer in layers]
     x, y = fields[0].x, fields[0].y
     k = np.hypot(*np.meshgrid(y.wavenumber_per_um, x.wavenumber_per_um, indexing="ij"))
     fade = np.cos(np.pi / 2.0 * np.clip((k * scene.height_um / CUTOFF_X - 1.0) / (TAPER_END - 1.0), 0.0, 1.0)) ** 2
     cloud = np.multiply.outer(cloud_window(y, box.step_um), cloud_window(x, box.step_um))
     coefficients = np.stack([field.coefficients for field in fields], axis=1) * (fade / cloud) / (2.0 * reach) ** 2
-    return ChipMap(coefficients, x, y, tally.total_histories)
+    return ChipMap(coefficients, leaked, box.step_um, x, y, tally.total_histories)
 
 
 def _displaced(at_um: Real, half_um: float, step_um: float, sd_um: float) -> tuple[Real, Real]:
