@@ -11,6 +11,7 @@ from containers.ray_tracing.twin.closure import Leak, bessel_j0, lambert, round_
 from containers.ray_tracing.twin.exchange import Exchange, sum_up
 from containers.ray_tracing.twin.grid import Grid
 from containers.scene import Array, Receiver, lambertian_receiver
+from luxloop.errors import InputError
 
 SIGMA = np.radians(5.0)
 RECEIVER = lambertian_receiver(0.35)
@@ -121,6 +122,42 @@ def test_what_goes_inside_at_a_point_comes_up_as_hankels_integral_says(
     np.testing.assert_allclose(found, expected, rtol=0.02)
 
 
+@pytest.mark.parametrize("specular", [0.0, 0.3])
+def test_what_leaks_is_one_more_way_of_the_substrate(specular: float) -> None:
+    """Over a mirror, below a receiver with a mirror's part: each arrival is a product of straight stretches."""
+    a, R, length = 0.1, 0.8, 2.0
+    parts = (Lambertian(0.35), Mirror(1.0))
+    receiver = Receiver(Mixture(parts, (1.0 - specular, specular)) if specular else parts[0])
+    x = np.array([1e-9, 0.1, 0.3, 0.6, 2.0])
+    K = lambda steps: steps * x * special.k1(steps * x)  # noqa: E731
+    stays, leaks = (1.0 - a) * R, a * (1.0 + (length * x) ** 2) ** -1.5
+    first = stays * K(2) + leaks * K(1) ** 2
+    second = stays**2 * K(4) + 2.0 * stays * leaks * K(1) * K(3) + leaks**2 * K(1) ** 2 * K(2)
+    found = round_trip(Mirror(R), receiver, x, Leak(a, length))
+    np.testing.assert_allclose(found, first + specular * second, atol=1e-6)
+    arrives, recorded = Leak(a, length).comes_up(x, Mirror(R), receiver)
+    np.testing.assert_allclose(
+        arrives * a, leaks * (K(1) + specular * (stays * K(3) + leaks * K(2) * K(1))), atol=1e-6
+    )
+    np.testing.assert_array_equal(recorded, arrives)
+
+
+@pytest.mark.parametrize("leak", [0.0, 0.2])
+def test_what_is_recorded_of_a_second_arrival_is_by_lamberts_law(leak: float) -> None:
+    """A response that falls to 0 at grazing: at wave 0 the mean of cos, 2/3, of the first and of the second."""
+    falling = Receiver(Mixture((Lambertian(0.35), Mirror(1.0)), (0.7, 0.3)), response=np.linspace(0.0, 1.0, 9))
+    all_of_it, seen = (
+        round_trip(Mirror(0.9), falling, np.zeros(1), Leak(leak, 2.0), recorded=one) for one in (False, True)
+    )
+    assert seen[0] == pytest.approx(2.0 / 3.0 * all_of_it[0], rel=1e-4)
+
+
+def test_a_leak_too_long_for_a_grid_is_refused() -> None:
+    """Before the memory is taken."""
+    with pytest.raises(InputError, match="leak_um"):
+        Exchange(Array.regular(3, 3, 500.0), Mirror(0.97), RECEIVER, 20.0, leak=Leak(0.1, 1e5 / 20.0))
+
+
 def test_a_leak_of_next_to_nothing_changes_next_to_nothing() -> None:
     """Though its grid is wider."""
     seen = Receiver(Lambertian(0.35), response=np.linspace(0.7, 1.0, 9))
@@ -162,6 +199,6 @@ def test_a_grid_gives_back_what_was_put_on_it_and_cuts_at_the_edge(beyond_um: fl
     grid = Grid.of(layout, 15.0, beyond_um)
     light = np.random.default_rng(1).random(grid.shape)
     np.testing.assert_allclose(grid.sum_up(grid.waves(light), *grid.centres_um), light, atol=1e-12)
-    np.testing.assert_allclose(grid.inside(grid.waves(light)), light, atol=1e-12)
+    np.testing.assert_allclose(grid.on_module(grid.waves(light)), light, atol=1e-12)
     waves = grid.laid(np.ones((80, 80)), 10.0, layout)  # 800 um wide: of each chip's all of the module
     assert waves[0, 0].real * grid.step_um[0] * grid.step_um[1] == pytest.approx(6 * 20 * 30)

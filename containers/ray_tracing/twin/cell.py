@@ -18,7 +18,7 @@ from containers.ray_tracing.exits import Exits
 from containers.ray_tracing.field import Axis, CellField
 from containers.ray_tracing.packing import emission_arrays
 from containers.ray_tracing.tally import Box
-from containers.ray_tracing.twin.closure import Leak, leaking, round_trip
+from containers.ray_tracing.twin.closure import Leak, round_trip
 from containers.ray_tracing.twin.direct import direct_light, lambertian_part, open_way
 from containers.ray_tracing.twin.direct_kernel import ARRIVES, INSIDE, SEEN_MORE
 from containers.ray_tracing.twin.shadow import correction, low_axis, periods_seen
@@ -70,17 +70,16 @@ def cell_field(
     k = np.sqrt(np.add.outer(arrives.y.wavenumber_per_um**2, arrives.x.wavenumber_per_um**2))
     kept, _ = lambertian_part(receiver.bsdf)
     x, leak = k * scene.distance_um, Leak.of(scene)
-    T = leaking(round_trip(scene.substrate, receiver, x), leak, receiver, x)
+    T = round_trip(scene.substrate, receiver, x, leak)
     low = low_axis(arrives.x, periods_seen(scene)), low_axis(arrives.y, periods_seen(scene))
     dT = correction(way, emission, *low, seed=seed, threads=threads) if shadow else None
     direct = np.stack([one.coefficients for one in layers], axis=1) * cloud
     if leak.share:
-        up, seen = leak.rises(x, scene.substrate, receiver)
+        up, seen = leak.comes_up(x, scene.substrate, receiver)
         direct = direct[:, :INSIDE] + direct[:, INSIDE, None] * np.stack([up, seen - up])
     total = _all_light(direct[:, ARRIVES], kept, T, dT, arrives)
     if direct.shape[1] > 1:
-        seen = round_trip(scene.substrate, receiver, x, recorded=True)
-        more = leaking(seen, leak, receiver, x, recorded=True) - T
+        more = round_trip(scene.substrate, receiver, x, leak, recorded=True) - T
         total = total + direct[:, SEEN_MORE] + kept * more * total
     return replace(arrives, coefficients=total * plate(receiver, k))
 

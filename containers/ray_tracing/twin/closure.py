@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from containers.bsdf import Bsdf, GaussianLobe, Lambertian, Mirror, Mixture
 from containers.ray_tracing.field import lambert_transform
-from containers.ray_tracing.twin.direct import lambertian_part
+from containers.ray_tracing.twin.direct import dimmed, lambertian_part
 from containers.scene import Receiver, Scene
 from luxloop.errors import InputError
 
@@ -34,34 +34,14 @@ Real = NDArray[np.float64]
 LAST_X, NODES_X = 8.0, 65
 """Of the table of what a lobe's transform has beyond a mirror's; both are below 1e-4 at its end."""
 SEEN_NODES = 513
+_ALL = np.ones(2)
+"""The response to light of which all counts alike."""
 _SLOPES, _U = np.polynomial.legendre.leggauss(200), np.polynomial.legendre.leggauss(14)
 AZIMUTHS = 16
 _LAMBERT_NODES, _LAMBERT_END = 12_001, 40.0
 _J0_NEAR = (1.0, -2.2499997, 1.2656208, -0.3163866, 0.0444479, -0.0039444, 0.0002100)
 _J0_AMPLITUDE = (0.79788456, -0.00000077, -0.00552740, -0.00009512, 0.00137237, -0.00072805, 0.00014476)
 _J0_PHASE = (-0.78539816, -0.04166397, -0.00003954, 0.00262573, -0.00054125, -0.00029333, 0.00013558)
-
-
-def round_trip(substrate: Bsdf, receiver: Receiver, x: ArrayLike, *, recorded: bool = False) -> Real:
-    """T at x = k D, in the shape of x; at x = 0 the share of the receiver's Lambert light that comes up again.
-
-    Parameters
-    ----------
-    recorded : weigh what comes up by the receiver's response to its angle.
-
-    Notes
-    -----
-    A mirror's share s of the receiver sends a part of what comes up down once more; that second arrival is included,
-    s T_2(k), a third (s^2) is not.
-    """
-    at = np.asarray(x, float)
-    response = receiver.response if recorded else np.ones(2)
-    first = sum(share * _transform(kind, sigma, at, response) for kind, sigma, share in ways_of(substrate))
-    specular = _specular(receiver)
-    if specular == 0.0:
-        return np.asarray(first)
-    second = sum(a * b * _twice(kinds, at) for a, b, kinds in _pairs(substrate))
-    return np.asarray(first + specular * second * response.mean())
 
 
 class Leak(NamedTuple):
@@ -79,26 +59,53 @@ class Leak(NamedTuple):
         """Transform of exp(-r / L) / (2 pi L^2) at x = k D."""
         return np.asarray((1.0 + (x * self.length) ** 2) ** -1.5)
 
-    def rises(self, x: Real, substrate: Bsdf, receiver: Receiver) -> Real:
+    def comes_up(self, x: Real, substrate: Bsdf, receiver: Receiver) -> Real:
         """(2, *x.shape): transforms at x = k D of what arrives, and is recorded, of light inside the substrate.
 
-        Of what a receiver's mirror or lobe sends down again a second arrival is included, as in `round_trip`.
+        A second arrival is included, of what the receiver's mirror or lobes send down, as in `round_trip`.
         """
-        first, specular = lambert(x), _specular(receiver)
-        again = specular * (
-            (1.0 - self.share) * _thrice(substrate, x) + self.share * self.displaced(x) * _stretched(x)
+        return np.asarray(
+            self.displaced(x)
+            * np.stack(
+                [
+                    _rising(x, response) + specular_part(receiver) * _thrice(substrate, self, x, response)
+                    for response in (_ALL, receiver.response)
+                ]
+            )
         )
-        response = receiver.response
-        arrives, recorded = first + again, _rising(x, response) + again * response.mean()
-        return np.asarray(self.displaced(x) * np.stack([arrives, recorded]))
 
 
-def leaking(trip: Real, leak: Leak, receiver: Receiver, x: Real, *, recorded: bool = False) -> Real:
-    """The round trip over a substrate that leaks, (1 - a) T + a (x K1(x))^2 displaced(x); T itself at a = 0."""
-    if not leak.share:
-        return trip
-    up = _transform(Lambertian, 0.0, x, receiver.response if recorded else np.ones(2))
-    return np.asarray((1.0 - leak.share) * trip + leak.share * leak.displaced(x) * up)
+NO_LEAK = Leak()
+
+
+def round_trip(
+    substrate: Bsdf, receiver: Receiver, x: ArrayLike, leak: Leak = NO_LEAK, *, recorded: bool = False
+) -> Real:
+    """T at x = k D, in the shape of x; at x = 0 the share of the receiver's Lambert light that comes up again.
+
+    Parameters
+    ----------
+    leak : of the substrate. recorded : weigh what comes up by the receiver's response to its angle.
+
+    Notes
+    -----
+    A mirror's share s of the receiver sends a part of what comes up down once more; that second arrival is included,
+    s T_2(k), a third (s^2) is not.
+    """
+    at = np.asarray(x, float)
+    response, ways = receiver.response if recorded else _ALL, _ways(substrate, leak, at)
+    first = sum(share * _transform(kind, sigma, at, response) for kind, sigma, share in ways)
+    specular = specular_part(receiver)
+    if specular == 0.0:
+        return np.asarray(first)
+    pairs = ((a * b, (one is Lambertian, two is Lambertian)) for one, _, a in ways for two, _, b in ways)
+    second = sum(share * _twice(kinds, at, response) for share, kinds in pairs)
+    return np.asarray(first + specular * second)
+
+
+def reaching(substrate: Bsdf, receiver: Receiver, x: Real) -> Real:
+    """Of Lambert light from the receiver what its mirror or lobes send down to the substrate a second time."""
+    return np.asarray(specular_part(receiver) * _thrice(substrate, NO_LEAK, x, _ALL))
 
 
 def lambert(x: Real) -> Real:
@@ -128,40 +135,38 @@ def ways_of(bsdf: Bsdf) -> list[tuple[type[Bsdf], float, float]]:
     )
 
 
-def _specular(receiver: Receiver) -> float:
+def specular_part(receiver: Receiver) -> float:
     """What of the light a receiver's mirror and lobes send back."""
     _, followed = lambertian_part(receiver.bsdf)
     return float(sum(share for kind, _, share in ways_of(followed) if kind is not Lambertian))
 
 
-def _thrice(substrate: Bsdf, x: Real) -> Real:
-    """From the substrate up to a mirror, down, and up again."""
-    parts = (
-        share * (_stretched(x) if kind is Lambertian else lambert(3.0 * x)) for kind, _, share in ways_of(substrate)
+def _ways(substrate: Bsdf, leak: Leak, x: Real) -> list[tuple[type[Bsdf], float, Real | float]]:
+    """Those of a substrate that leaks; what leaks comes up by Lambert's law, displaced."""
+    ways: list[tuple[type[Bsdf], float, Real | float]] = [*ways_of(dimmed(substrate, 1.0 - leak.share))]
+    return [*ways, (Lambertian, 0.0, leak.share * leak.displaced(x))] if leak.share else ways
+
+
+def _thrice(substrate: Bsdf, leak: Leak, x: Real, response: Real) -> Real:
+    """From plane to plane three times, by Lambert's law to begin with: a mirror, and the substrate, on the way."""
+    return np.asarray(
+        sum(
+            share * (lambert(2.0 * x) * _rising(x, response) if kind is Lambertian else _rising(3.0 * x, response))
+            for kind, _, share in _ways(substrate, leak, x)
+        )
     )
-    return np.asarray(sum(parts))
 
 
-def _stretched(x: Real) -> Real:
-    """Up to a mirror and down, and up once more by Lambert's law."""
-    return lambert(2.0 * x) * lambert(x)
-
-
-def _pairs(substrate: Bsdf) -> list[tuple[float, float, tuple[bool, bool]]]:
-    ways = [(kind is Lambertian, share) for kind, _, share in ways_of(substrate)]
-    return [(a, b, (first, second)) for first, a in ways for second, b in ways]
-
-
-def _twice(lambertian: tuple[bool, bool], x: Real) -> Real:
+def _twice(lambertian: tuple[bool, bool], x: Real, response: Real) -> Real:
     """Two round trips with a mirror for a receiver: stretches of straight way between Lambert's scatterings."""
     first, second = lambertian
     stretches = [1 if first else 2] + ([2] if first and second else []) + [1 if second else 2]
     if first != second:
-        stretches = [1, 3]
+        stretches = [1, 3] if first else [3, 1]
     if not first and not second:
         stretches = [4]
-    product = np.ones_like(x)
-    for steps in stretches:
+    product = _rising(stretches[-1] * x, response)
+    for steps in stretches[:-1]:
         product = product * lambert(steps * x)
     return product
 

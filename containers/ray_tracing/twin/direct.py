@@ -106,6 +106,15 @@ def without_loss(bsdf: Bsdf) -> tuple[Bsdf, float]:
     return bsdf, 1.0
 
 
+def dimmed(bsdf: Bsdf, by: float) -> Bsdf:
+    """A surface that scatters alike and sends back so much of what it did; any whose reflectance is one number."""
+    if isinstance(bsdf, Mixture):
+        return replace(bsdf, parts=tuple(dimmed(part, by) for part in bsdf.parts))
+    if isinstance(bsdf, Lambertian | GaussianLobe | Mirror):
+        return replace(bsdf, reflectance=by * bsdf.reflectance)
+    return bsdf
+
+
 def lambertian_part(receiver: Bsdf) -> tuple[float, Bsdf]:
     """The reflectance by Lambert's law of a receiver, and the rest of it.
 

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from containers.bsdf import Bsdf, Lambertian
-from containers.ray_tracing.twin.closure import Leak, lambert, round_trip, ways_of
-from containers.ray_tracing.twin.direct import lambertian_part
+from containers.ray_tracing.twin.closure import NO_LEAK, Leak, lambert, reaching, round_trip, ways_of
+from containers.ray_tracing.twin.direct import dimmed, lambertian_part
 from containers.ray_tracing.twin.grid import Complex, Grid
 from containers.scene import Array, Receiver
 from luxloop.errors import InputError
@@ -29,7 +29,8 @@ BEYOND = 10.0
 """In distances: the empty part of a grid, at least; kernels of light that is recorded by its angle are in waves."""
 LENGTHS = 7.0
 """Of a leak, the same; 0.7 % of what leaks comes out further away."""
-NO_LEAK = Leak()
+MOST_CELLS = 4e6
+"""Of a leak's grid: 64 MB for each of its ten arrays."""
 
 Waves = list[tuple[Grid, Complex]]
 """Of several grids, to be summed up together."""
@@ -47,6 +48,10 @@ class Exchange:
     ----------
     lost : share of what a cell's chip keeps from coming up again, of all light sent back in a cell that repeats.
     leak : of the substrate, which goes on beyond the module's edge.
+
+    Raises
+    ------
+    InputError : a leak so long beside the distance that its grid were too large.
 
     Notes
     -----
@@ -66,20 +71,24 @@ class Exchange:
         self.layout, self.grid, self._leak = layout, Grid.of(layout, step, BEYOND * distance_um), leak
         self._kept = lambertian_part(receiver.bsdf)[0]
         self._returned = self._past_chips(distance_um, lost)
-        ways, x = ways_of(substrate), self.grid.k_per_um * distance_um
-        diffuse = sum(share for kind, _, share in ways if kind is Lambertian)
+        stays, x = dimmed(substrate, 1.0 - leak.share), self.grid.k_per_um * distance_um
+        ways = ways_of(stays)
+        self._diffuse = sum(share for kind, _, share in ways if kind is Lambertian)
         direct = sum(share for kind, _, share in ways if kind is not Lambertian)
-        all_of_it = round_trip(substrate, receiver, x)
-        in_waves = all_of_it - direct * lambert(2.0 * x) - diffuse * lambert(x) ** 2
-        stays = 1.0 - leak.share
-        self._straight = stays * (direct * self._by_lambert(2.0 * distance_um) + in_waves)
-        self._diffuse, self._down = stays * diffuse, self._by_lambert(distance_um)
+        all_of_it = round_trip(stays, receiver, x)
+        in_waves = all_of_it - direct * lambert(2.0 * x) - self._diffuse * lambert(x) ** 2
+        self._straight = direct * self._by_lambert(2.0 * distance_um) + in_waves
+        self._down = self._by_lambert(distance_um)
         plain = bool(np.all(receiver.response == 1.0))
-        seen = 0.0 if plain else round_trip(substrate, receiver, x, recorded=True) - all_of_it
-        self._more_recorded = stays * seen
+        self._more_recorded = 0.0 if plain else round_trip(stays, receiver, x, recorded=True) - all_of_it
         if leak.share:
             self.wide = Grid.of(layout, step, (BEYOND + LENGTHS * leak.length) * distance_um)
-            self._rises, self._rises_seen = leak.rises(self.wide.k_per_um * distance_um, substrate, receiver)
+            if (cells := int(np.prod(self.wide.padded))) > MOST_CELLS:
+                longest = f"a length whose grid has up to {MOST_CELLS:g} cells, here {cells:g}"
+                raise InputError("leak_um", round(leak.length * distance_um), longest, "use Monte Carlo")
+            wide = self.wide.k_per_um * distance_um
+            self._comes_up, self._is_recorded = leak.comes_up(wide, substrate, receiver)
+            self._reaches = self._down + reaching(stays, receiver, x)
 
     def solve(self, direct: Real, leaked: Complex | None = None) -> Waves:
         """Waves of all light beside direct light, which is given (y, x) at the grid's centres.
@@ -91,23 +100,22 @@ class Exchange:
         InputError where the iteration does not settle to 1e-6 of the largest value within 200 steps.
         """
         if leaked is not None:
-            direct = direct + self.wide.inside(leaked * self._rises)
+            direct = direct + self.wide.on_module(leaked * self._comes_up)
         again, largest = np.zeros_like(direct), float(np.abs(direct).max())
         for _ in range(MOST_ITERATIONS):
             sent = self.grid.waves(self._returned * (direct + again)) * self._kept
             waves = sent * self._straight
-            if self._diffuse or self._leak.share:
-                on_substrate = self.grid.inside(sent * self._down)
-                if self._diffuse:
-                    waves = waves + self._diffuse * self.grid.waves(on_substrate) * self._down
-            before, again = again, self.grid.inside(waves)
+            if self._diffuse:
+                on_substrate = self.grid.on_module(sent * self._down)
+                waves = waves + self._diffuse * self.grid.waves(on_substrate) * self._down
+            before, again = again, self.grid.on_module(waves)
             if self._leak.share:
-                leaks = self._leak.share * self.wide.waves(on_substrate)
-                again = again + self.wide.inside(leaks * self._rises)
+                leaks = self._leak.share * self.wide.waves(self.grid.on_module(sent * self._reaches))
+                again = again + self.wide.on_module(leaks * self._comes_up)
             if float(np.abs(again - before).max()) <= TOLERANCE * largest:
                 found = [(self.grid, waves + self._more_recorded * sent)]
                 if self._leak.share:
-                    found += [(self.wide, (leaks if leaked is None else leaked + leaks) * self._rises_seen)]
+                    found += [(self.wide, (leaks if leaked is None else leaked + leaks) * self._is_recorded)]
                 return found
         raise InputError("receiver", self._kept, "less light sent back and forth", "the iteration does not settle")
 

@@ -13,6 +13,10 @@ Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 
+LEAST_CELLS = 4
+"""Across a module, however narrow: light in the middle of one cell of a third of the distance is 2 % too much."""
+
+
 @dataclass(frozen=True)
 class Grid:
     """Cells of a module, from edge to edge, and empty ones beyond.
@@ -28,7 +32,7 @@ class Grid:
     def of(cls, layout: Array, step_um: float, beyond_um: float) -> Grid:
         """With steps of at most so much, and at least the module's own width, or so much more, beyond it."""
         sides = 2.0 * layout.half_y_um, 2.0 * layout.half_x_um
-        rows, columns = (int(np.ceil(side / step_um)) for side in sides)
+        rows, columns = (max(LEAST_CELLS, int(np.ceil(side / step_um - 1e-9))) for side in sides)
         steps = sides[0] / rows, sides[1] / columns
         beyond = (int(np.ceil(beyond_um / step)) for step in steps)
         padded = (count + max(count, more) for count, more in zip((rows, columns), beyond, strict=True))
@@ -59,7 +63,7 @@ class Grid:
         """Of light on the module's cells, or on all."""
         return np.asarray(np.fft.rfft2(light, self.padded))
 
-    def inside(self, waves: Complex) -> Real:
+    def on_module(self, waves: Complex) -> Real:
         """Light on the module's cells."""
         rows, columns = self.shape
         return np.asarray(np.fft.irfft2(waves, self.padded)[:rows, :columns])
@@ -88,16 +92,20 @@ class Grid:
 
         pieces : (y, x), light of equal squares about a chip's centre. step_um : their side.
         """
-        found, offset = np.zeros((self.padded[0], self.padded[1] // 2 + 1), complex), _middles(len(pieces)) * step_um
-        for (x, y), power in zip(layout.centres_um.reshape(-1, 2), layout.power.ravel(), strict=True):
-            along_y, along_x = self._waves_along(y + offset, 0), self._waves_along(x + offset, 1)
-            found += power * (along_y @ pieces @ along_x.T)
+        centres, power = layout.centres_um.reshape(-1, 2), layout.power.ravel()
+        found = np.zeros((self.padded[0], self.padded[1] // 2 + 1), complex)
+        for y in np.unique(centres[:, 1]):  # chips in a row are summed up before the long product
+            row = centres[:, 1] == y
+            each = zip(power[row], centres[row, 0], strict=True)
+            along_x = sum(p * self._waves_along(x, len(pieces), step_um, 1) for p, x in each)
+            found += self._waves_along(y, len(pieces), step_um, 0) @ (pieces @ along_x.T)
         return np.asarray(found / (self.step_um[0] * self.step_um[1]))
 
-    def _waves_along(self, at_um: Real, axis: int) -> Complex:
-        """(wave, place): e^-iku of places along an axis, from the first cell's centre; 0 beyond the edge."""
-        first = 0.5 * (self.shape[axis] - 1) * self.step_um[axis]
-        inside = np.abs(at_um) <= 0.5 * self.shape[axis] * self.step_um[axis]
+    def _waves_along(self, about_um: float, count: int, step_um: float, axis: int) -> Complex:
+        """(wave, piece): e^-iku of pieces along an axis, from the first cell's centre, of what is inside the edge."""
+        at_um, half = about_um + _middles(count) * step_um, 0.5 * self.shape[axis] * self.step_um[axis]
+        inside = np.clip((half - np.abs(at_um)) / step_um + 0.5, 0.0, 1.0)
+        first = half - 0.5 * self.step_um[axis]
         return np.asarray(np.exp(-1j * np.outer(self.axes_per_um[axis], at_um + first)) * inside)
 
 
