@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.stats import beta
+from scipy.special import betaincinv  # scipy.stats takes half a second to import
 
 from validation.blind_test.marks import Marked
 
@@ -69,8 +69,8 @@ class Row:
 def interval(hits: int, of: int, level: float = LEVEL) -> tuple[float, float]:
     """The exact interval of Clopper and Pearson of a share; (0, 1) of nothing."""
     tail = (1.0 - level) / 2.0
-    low = float(beta.ppf(tail, hits, of - hits + 1)) if hits else 0.0
-    high = float(beta.ppf(1.0 - tail, hits + 1, of - hits)) if hits < of else 1.0
+    low = float(betaincinv(hits, of - hits + 1, tail)) if hits else 0.0
+    high = float(betaincinv(hits + 1, of - hits, 1.0 - tail)) if hits < of else 1.0
     return low, high
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from scipy.stats import norm
+from scipy.special import ndtri  # scipy.stats takes half a second to import
 
 from validation.contrasts import Region
 from validation.diagnose.explanation import FOLLOWS, LEVEL, Explanation
@@ -31,7 +31,7 @@ def limits_in_words(scored: Scores, level: float) -> list[str]:
 def limits(scored: Scores, level: float = LEVEL) -> list[tuple[str, str, float, str]]:
     """(effect, parameter, value, unit) of the size that is seen with 90 % power, of all that can be tested."""
     count = max(len(scored.effects), 1)
-    wanted = float(norm.isf(level / 4.0 / count) + norm.isf(1.0 - POWER))
+    wanted = float(ndtri(POWER) - ndtri(level / 4.0 / count))
     found = []
     for one in scored.effects:
         candidate = one.best.candidate

@@ -19,8 +19,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import gammaincc, gammaln, ndtri_exp
-from scipy.stats import chi2 as chi2_of
+from scipy.special import gammaincc, gammaln, log_ndtr, ndtri_exp  # scipy.stats takes half a second to import
 
 from luxloop.effect import EffectParameter, EffectSpec, Value
 from validation.fit.least_squares import Basis
@@ -280,7 +279,7 @@ def _p(drawn: Real, drop: float, shapes: int) -> float:
     above = int(np.sum(drawn >= drop))
     if above >= 10 or drop == 0.0:
         return (1 + above) / (1 + len(drawn))
-    return float(min(1.0, shapes * np.exp(chi2_of.logsf(drop, 1))))
+    return float(min(1.0, shapes * 2.0 * np.exp(log_ndtr(-(max(drop, 0.0) ** 0.5)))))
 
 
 def _ranks(values: Real) -> Real:

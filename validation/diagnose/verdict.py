@@ -29,7 +29,7 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from scipy.stats import chi2 as chi2_of
+from scipy.special import chdtri  # scipy.stats takes half a second to import
 
 from validation.diagnose.explained import Share
 from validation.diagnose.explanation import LEVEL, Explanation
@@ -230,7 +230,7 @@ def _explains_too_little(best: Explanation, level: float) -> bool:
 
 def _is_noise(best: Explanation, known: int, level: float) -> bool:
     """Whether noise alone would lower chi2 as much by one of so many effects, while structure is left."""
-    return best.drop < chi2_of.isf(level / 2.0 / max(known, 1), 1) and best.p_left < level / 2.0
+    return best.drop < chdtri(1, level / 2.0 / max(known, 1)) and best.p_left < level / 2.0
 
 
 def _alike(best: Explanation, other: Explanation) -> bool:
