@@ -92,21 +92,25 @@ class Grid:
 
         pieces : (y, x), light of equal squares about a chip's centre. step_um : their side.
         """
+        offset, (ky, kx) = _middles(len(pieces)) * step_um, self.axes_per_um
+        first = [0.5 * (1 - count) * step for count, step in zip(self.shape, self.step_um, strict=True)]
+        about_y, about_x = (np.exp(-1j * np.outer(k, offset - x0)) for k, x0 in zip((ky, kx), first, strict=True))
         centres, power = layout.centres_um.reshape(-1, 2), layout.power.ravel()
-        found = np.zeros((self.padded[0], self.padded[1] // 2 + 1), complex)
+        found = np.zeros((ky.size, kx.size), complex)
         for y in np.unique(centres[:, 1]):  # chips in a row are summed up before the long product
             row = centres[:, 1] == y
-            each = zip(power[row], centres[row, 0], strict=True)
-            along_x = sum(p * self._waves_along(x, len(pieces), step_um, 1) for p, x in each)
-            found += self._waves_along(y, len(pieces), step_um, 0) @ (pieces @ along_x.T)
+            x = centres[row, 0]
+            cut_x = [_share_within(at + offset, step_um, layout.half_x_um) for at in x]
+            along_x = about_x * ((power[row] * np.exp(-1j * np.outer(kx, x))) @ np.array(cut_x))
+            along_y = about_y * np.exp(-1j * ky * y)[:, None] * _share_within(y + offset, step_um, layout.half_y_um)
+            real_and_imaginary = np.ascontiguousarray(along_x.T).view(float)
+            found += along_y @ (pieces @ real_and_imaginary).view(complex)
         return np.asarray(found / (self.step_um[0] * self.step_um[1]))
 
-    def _waves_along(self, about_um: float, count: int, step_um: float, axis: int) -> Complex:
-        """(wave, piece): e^-iku of pieces along an axis, from the first cell's centre, of what is inside the edge."""
-        at_um, half = about_um + _middles(count) * step_um, 0.5 * self.shape[axis] * self.step_um[axis]
-        inside = np.clip((half - np.abs(at_um)) / step_um + 0.5, 0.0, 1.0)
-        first = half - 0.5 * self.step_um[axis]
-        return np.asarray(np.exp(-1j * np.outer(self.axes_per_um[axis], at_um + first)) * inside)
+
+def _share_within(at_um: Real, side_um: float, half_um: float) -> Real:
+    """Of pieces along an axis, what is inside the edge."""
+    return np.asarray(np.clip((half_um - np.abs(at_um)) / side_um + 0.5, 0.0, 1.0))
 
 
 def _middles(count: int) -> Real:
