@@ -30,5 +30,5 @@ def _folder() -> str:
     digest = hashlib.sha256()
     for path in sorted(Path(__file__).parent.glob("*.py")):
         digest.update(path.read_bytes())
-    home = os.environ.get("LUXLOOP_CACHE") or Path.home() / ".cache" / "luxloop"
-    return str(Path(home) / "kernels" / f"blind-{digest.hexdigest()[:12]}")
+    home = Path(os.environ.get("LUXLOOP_CACHE") or Path.home() / ".cache" / "luxloop")
+    return str(Path(os.environ.get("LUXLOOP_KERNELS") or home / "kernels") / f"blind-{digest.hexdigest()[:12]}")

@@ -17,7 +17,7 @@ import containers.effects
 from luxloop.model_file import find_model
 from tests.validation.blind.truths import ARRAY, CAMERA, PAPER, SINGLE, STRAIGHT
 from tests.validation.workers import Workers
-from validation.blind import KINDS, Hidden, Pose, Real, light
+from validation.blind import KINDS, Hidden, Pose, Real, compiled, light
 from validation.dataset.manifest import Sample as PlanSample
 from validation.prediction import Pose as ViewPose
 from validation.prediction import Predictor, View
@@ -152,3 +152,13 @@ def test_what_cannot_be_built_or_seen_is_refused() -> None:
         light(PAPER, [SINGLE], CAMERA, [Pose()], seed=1, histories=0)
     with pytest.raises(ValueError, match="pixel_um"):
         light(PAPER, [SINGLE], replace(CAMERA, pixel_um=400.0), [Pose()], seed=1, histories=10)
+
+
+def test_compiled_kernels_lie_where_the_workers_do(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """In LUXLOOP_KERNELS, else in the cache: a cache of one's own had them compiled anew, half a minute each time."""
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    monkeypatch.setenv("LUXLOOP_CACHE", str(tmp_path / "cache"))
+    for chosen, home in (("", tmp_path / "cache" / "kernels"), (str(tmp_path / "kernels"), tmp_path / "kernels")):
+        monkeypatch.setenv("LUXLOOP_KERNELS", chosen)
+        assert Path(compiled._folder()).parent == home
+        assert Path(compiled._folder()).name.startswith("blind-")
