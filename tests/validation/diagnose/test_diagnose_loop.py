@@ -72,10 +72,11 @@ def test_powers_of_chips_are_added_sample_by_sample(settings: Settings, tmp_path
     (tmp_path / "truth.toml").write_text(to_toml(truth), encoding="utf-8")
     (tmp_path / "plan.toml").write_text(PLAN, encoding="utf-8")
     made = ("dataset", "simulate", "data", "--model", "truth.toml", "--plan", "plan.toml", "--pixels", "42")
-    told(settings, tmp_path, *made, "--solver", "twin")
-    told(settings, tmp_path, "compare", "data", "--twin")
-    free = ("--free", "environment.substrate.reflectance")
-    added = told(settings, tmp_path, "add", "chip_power_spread", "--twin", *free)
+    with local_set(settings):
+        told(settings, tmp_path, *made, "--solver", "twin")
+        told(settings, tmp_path, "compare", "data", "--twin")
+        free = ("--free", "environment.substrate.reflectance")
+        added = told(settings, tmp_path, "add", "chip_power_spread", "--twin", *free)
     assert added["after"]["fitted_percent"] < 1.05 * added["after"]["noise_percent"]
     assert added["after"]["blocks_percent"] < added["before"]["blocks_percent"]
     model = read_model(tmp_path / "model.toml")
