@@ -3,9 +3,9 @@
     python -m benchmarks.column_noise [EFFECT ...]
 
 On the six example images of `luxloop effects confusion`, beside what a fit takes anyway (gains, offsets, places, the
-free parameters of model `paper`): the cosine between the columns of two walks is the share of the
-chi2 that a score by one of them finds. Before: 131,072 exits, and a tenth of the range as a step; now: as a diagnosis
-has them (decision 70).
+free parameters of model `paper`): the cosine between the columns of two walks is the share of the chi2 that a score
+by one of them finds. Before: 131,072 exits, and of what acts by chance a tenth of the range as a step; now: as a
+diagnosis has them (decision 70). Of a leak that was drawn ray by ray (before decision 71) it tells nothing.
 """
 
 from __future__ import annotations

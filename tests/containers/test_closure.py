@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from scipy import integrate, special
 
 from containers.bsdf import GaussianLobe, Lambertian, Mirror, Mixture
@@ -13,6 +14,7 @@ from containers.ray_tracing.twin.grid import Grid
 from containers.scene import Array, Receiver, lambertian_receiver
 from luxloop.errors import InputError
 
+Real = NDArray[np.float64]
 SIGMA = np.radians(5.0)
 RECEIVER = lambertian_receiver(0.35)
 X = np.array([0.0, 0.01, 0.1, 0.5, 1.0, 2.0, 4.0, 6.0])
@@ -129,15 +131,24 @@ def test_what_leaks_is_one_more_way_of_the_substrate(specular: float) -> None:
     parts = (Lambertian(0.35), Mirror(1.0))
     receiver = Receiver(Mixture(parts, (1.0 - specular, specular)) if specular else parts[0])
     x = np.array([1e-9, 0.1, 0.3, 0.6, 2.0])
-    K = lambda steps: steps * x * special.k1(steps * x)  # noqa: E731
+
+    def straight(steps: int) -> Real:
+        return np.asarray(steps * x * special.k1(steps * x))
+
     stays, leaks = (1.0 - a) * R, a * (1.0 + (length * x) ** 2) ** -1.5
-    first = stays * K(2) + leaks * K(1) ** 2
-    second = stays**2 * K(4) + 2.0 * stays * leaks * K(1) * K(3) + leaks**2 * K(1) ** 2 * K(2)
+    first = stays * straight(2) + leaks * straight(1) ** 2
+    second = (
+        stays**2 * straight(4)
+        + 2.0 * stays * leaks * straight(1) * straight(3)
+        + leaks**2 * straight(1) ** 2 * straight(2)
+    )
     found = round_trip(Mirror(R), receiver, x, Leak(a, length))
     np.testing.assert_allclose(found, first + specular * second, atol=1e-6)
     arrives, recorded = Leak(a, length).comes_up(x, Mirror(R), receiver)
     np.testing.assert_allclose(
-        arrives * a, leaks * (K(1) + specular * (stays * K(3) + leaks * K(2) * K(1))), atol=1e-6
+        arrives * a,
+        leaks * (straight(1) + specular * (stays * straight(3) + leaks * straight(2) * straight(1))),
+        atol=1e-6,
     )
     np.testing.assert_array_equal(recorded, arrives)
 
@@ -171,25 +182,37 @@ def test_a_leak_of_next_to_nothing_changes_next_to_nothing() -> None:
 
 
 def test_a_module_much_longer_than_wide_has_light() -> None:
-    """Fifty chips in a row far below their receiver: one cell across, many along."""
+    """Fifty chips in a row so far below their receiver that the module is narrower than a cell would be."""
     exchange = Exchange(Array.regular(1, 50, 100.0), Mirror(0.97), RECEIVER, 4000.0)
     light = sum_up(exchange.solve(np.ones(exchange.grid.shape)), np.zeros(1), np.zeros(1))
     assert 0.0 < light[0, 0] < 0.05
 
 
-def test_the_light_of_a_module_s_receiver_solves_its_integral_equation() -> None:
+@pytest.mark.parametrize(
+    ("rows", "columns", "pitch_um", "distance_um", "places"),
+    [(3, 3, 300.0, 150.0, (45, 45)), (1, 50, 100.0, 300.0, (8, 250))],
+)
+def test_the_light_of_a_module_s_receiver_solves_its_integral_equation(
+    rows: int, columns: int, pitch_um: float, distance_um: float, places: tuple[int, int]
+) -> None:
     """Over a mirror I(p) = rho R sum over the module of K(|p - q|) (E(q) + I(q)), K of Lambert from 2 D away."""
-    layout, n = Array.regular(3, 3, 300.0), 45
-    x = ((np.arange(n) + 0.5) / n * 2.0 - 1.0) * layout.half_x_um
-    exchange = Exchange(layout, Mirror(0.97), RECEIVER, 150.0)
+    layout = Array.regular(rows, columns, pitch_um)
+    y, x = (
+        ((np.arange(n) + 0.5) / n * 2.0 - 1.0) * half
+        for n, half in zip(places, (layout.half_y_um, layout.half_x_um), strict=True)
+    )
+    exchange = Exchange(layout, Mirror(0.97), RECEIVER, distance_um)
     gx, gy = exchange.grid.centres_um
-    light = lambda a, b: np.exp(-np.add.outer((b - 100.0) ** 2, a**2) / 2e5)  # noqa: E731
-    found = sum_up(exchange.solve(light(gx, gy)), x, x)
-    r2 = np.add.outer(np.subtract.outer(x, x) ** 2, np.subtract.outer(x, x) ** 2).transpose(0, 2, 1, 3)
-    kernel = 0.35 * 0.97 * (x[1] - x[0]) ** 2 * 300.0**2 / (np.pi * (r2 + 300.0**2) ** 2)
-    matrix = kernel.reshape(n * n, n * n)
-    again = np.linalg.solve(np.eye(n * n) - matrix, matrix @ light(x, x).ravel())
-    np.testing.assert_allclose(found.ravel(), again, rtol=0.004)
+
+    def light(at_x: Real, at_y: Real) -> Real:
+        return np.asarray(np.exp(-np.add.outer((at_y - 100.0) ** 2, at_x**2) / 2e5))
+
+    found = sum_up(exchange.solve(light(gx, gy)), x, y)
+    r2 = np.add.outer(np.subtract.outer(y, y) ** 2, np.subtract.outer(x, x) ** 2).transpose(0, 2, 1, 3)
+    h2, area = (2.0 * distance_um) ** 2, (x[1] - x[0]) * (y[1] - y[0])
+    matrix = (0.35 * 0.97 * area * h2 / (np.pi * (r2 + h2) ** 2)).reshape(x.size * y.size, -1)
+    again = np.linalg.solve(np.eye(len(matrix)) - matrix, matrix @ light(x, y).ravel())
+    assert np.abs(found.ravel() - again).max() < 0.004 * again.max()
 
 
 @pytest.mark.parametrize("beyond_um", [0.0, 500.0, 555.0])

@@ -68,7 +68,7 @@ class Leak(NamedTuple):
             self.displaced(x)
             * np.stack(
                 [
-                    _rising(x, response) + specular_part(receiver) * _thrice(substrate, self, x, response)
+                    _rising(x, response) + _specular_part(receiver) * _thrice(substrate, self, x, response)
                     for response in (_ALL, receiver.response)
                 ]
             )
@@ -95,7 +95,7 @@ def round_trip(
     at = np.asarray(x, float)
     response, ways = receiver.response if recorded else _ALL, _ways(substrate, leak, at)
     first = sum(share * _transform(kind, sigma, at, response) for kind, sigma, share in ways)
-    specular = specular_part(receiver)
+    specular = _specular_part(receiver)
     if specular == 0.0:
         return np.asarray(first)
     pairs = ((a * b, (one is Lambertian, two is Lambertian)) for one, _, a in ways for two, _, b in ways)
@@ -105,7 +105,7 @@ def round_trip(
 
 def reaching(substrate: Bsdf, receiver: Receiver, x: Real) -> Real:
     """Of Lambert light from the receiver what its mirror or lobes send down to the substrate a second time."""
-    return np.asarray(specular_part(receiver) * _thrice(substrate, NO_LEAK, x, _ALL))
+    return np.asarray(_specular_part(receiver) * _thrice(substrate, NO_LEAK, x, _ALL))
 
 
 def lambert(x: Real) -> Real:
@@ -135,7 +135,7 @@ def ways_of(bsdf: Bsdf) -> list[tuple[type[Bsdf], float, float]]:
     )
 
 
-def specular_part(receiver: Receiver) -> float:
+def _specular_part(receiver: Receiver) -> float:
     """What of the light a receiver's mirror and lobes send back."""
     _, followed = lambertian_part(receiver.bsdf)
     return float(sum(share for kind, _, share in ways_of(followed) if kind is not Lambertian))

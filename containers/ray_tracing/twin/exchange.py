@@ -30,7 +30,7 @@ BEYOND = 10.0
 LENGTHS = 7.0
 """Of a leak, the same; 0.7 % of what leaks comes out further away."""
 MOST_CELLS = 4e6
-"""Of a leak's grid: 64 MB for each of its ten arrays."""
+"""Of a leak's grid: 32 MB for each of its arrays of waves."""
 
 Waves = list[tuple[Grid, Complex]]
 """Of several grids, to be summed up together."""

@@ -12,7 +12,6 @@ from containers.scene import Array
 Real = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-
 LEAST_CELLS = 4
 """Across a module, however narrow: light in the middle of one cell of a third of the distance is 2 % too much."""
 
@@ -49,9 +48,8 @@ class Grid:
     def axes_per_um(self) -> tuple[Real, Real]:
         """ky and kx of the waves."""
         (rows, columns), (dy, dx) = self.padded, self.step_um
-        return np.asarray(2.0 * np.pi * np.fft.fftfreq(rows, dy)), np.asarray(
-            2.0 * np.pi * np.fft.rfftfreq(columns, dx)
-        )
+        per_um = np.fft.fftfreq(rows, dy), np.fft.rfftfreq(columns, dx)
+        return np.asarray(2.0 * np.pi * per_um[0]), np.asarray(2.0 * np.pi * per_um[1])
 
     @property
     def k_per_um(self) -> Real:
