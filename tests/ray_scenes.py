@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from containers.bsdf import Bsdf, Fresnel, GaussianLobe, SpecularTable
-from containers.ray_tracing.arrays import CONES, ENDS, TRACE, UNFOLD, SceneArrays
+from containers.ray_tracing.arrays import CONES, ENDS, SHUT, TRACE, UNFOLD, SceneArrays
 from containers.ray_tracing.kernel import EVENT_OF_EXIT, EXIT, WEIGHT_OF_EXIT, exits_of_group, land_group, scratch
 from containers.ray_tracing.packing import emission_arrays, scene_arrays
 from containers.ray_tracing.sobol import DIRECTIONS
@@ -92,6 +92,7 @@ def exits_of(
     *,
     unfold: bool | None = None,
     cones: bool | None = None,
+    shut: bool | None = None,
     count: int = 16384,
     seed: int = 1,
     group: int = 0,
@@ -99,9 +100,9 @@ def exits_of(
 ) -> tuple[Single, Real, Single]:
     """What leaves a chip: exits (n, EXIT), the ledger per history, and what the walk noted (n, TRACE).
 
-    `unfold`, `cones` force or forbid the short cuts of the kernel.
+    `unfold`, `cones`, `shut` force or forbid the short cuts of the kernel.
     """
-    arrays = forced(of, {UNFOLD: unfold, CONES: cones})
+    arrays = forced(of, {UNFOLD: unfold, CONES: cones, SHUT: shut})
     rays, notes, ledger = (
         np.zeros((count, EXIT), np.float32),
         np.zeros((count, TRACE), np.float32),

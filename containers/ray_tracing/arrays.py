@@ -50,13 +50,15 @@ TOP_IN, TOP_OUT, SIDE_IN, SIDE_OUT, BOTTOM, SUBSTRATE, RECEIVER, EDGE = range(8)
     RESPONSE,
     OFFSETS_AT,
     CONES,
+    SHUT,
     FLAGS,
-) = range(14)
+) = range(15)
 """Entries of `flags`: a cell that repeats; chips of a finite array; specular walls at its edge; side faces that are
 smooth and lossless, below a top that does not scatter; air below the chip; a chip bottom that neither absorbs nor
 scatters; emission from the top face into air; a top face that takes light beyond its critical angle; where the
 receiver's response begins in the tables and how many numbers it has; where the chips' displacements begin; a chip
-whose light never changes |dx|, |dy|, |dz|, so that it is born inside the escape cones only."""
+whose light never changes |dx|, |dy|, |dz|, so that it is born inside the escape cones only; one whose sides are so
+nearly smooth (`packing.NEARLY_SMOOTH`) that light born outside these cones stays inside, too."""
 
 
 class SceneArrays(NamedTuple):

@@ -29,6 +29,7 @@ from containers.ray_tracing.surfaces import (
     REFLECTED,
     TRANSMITTED,
     Surfaces,
+    albedo,
     lobe,
     node_of,
     plain_lobe,
@@ -40,6 +41,9 @@ Real = NDArray[np.float64]
 
 FAINT = 0.05
 """Share of the weight at which a ray came in below which roulette is played."""
+
+MOST_HITS = 100_000
+"""Of a chip's faces, some metres of way: what is inside after so many counts as trapped."""
 
 ENDED, OUT = range(2)
 """What became of a walk."""
@@ -126,6 +130,9 @@ def _walk_unfolded(scene: SceneArrays, wave: int, ray: Real, stream: Stream, led
             _leave(ray, x, y, height, dx, dy, going, half, n, 0 if through_x else 1, topped)
             return OUT
         trace[of.BOTTOM_HITS] += 1.0
+        if trace[of.BOTTOM_HITS] > MOST_HITS:
+            ledger[of.TRAPPED_END] += weight
+            return ENDED
         z, dz = 0.0, abs(dz)
         if sigma > 0.0:  # what nearly all bottoms are, without the way through `scatter`
             a, b, c, _ = draw(stream, BOTTOM_KIND, 0)
@@ -141,6 +148,23 @@ def _walk_unfolded(scene: SceneArrays, wave: int, ray: Real, stream: Stream, led
             weight = _roulette(weight, faint, stream, ledger)
             if weight == 0.0:
                 return ENDED
+
+
+@borrowing_kernel
+def book_shut_in(scene: SceneArrays, wave: int, weight: float, z: float, dz: float, ledger: Real) -> None:
+    """Where light ends that goes round outside all escape cones, keeping |dz|: chip and mirror share it.
+
+    With e the light left after a round trip and r the mirror's reflectance they are sums of geometric series.
+    """
+    alpha, rise, top = scene.numbers[of.ABSORPTION], scene.numbers[of.ABSORPTION_RISE], scene.numbers[of.THICKNESS]
+    if scene.flags[of.CLOSED]:
+        ledger[of.TRAPPED_END if alpha == 0.0 else of.CHIP_END] += weight
+        return
+    first = z if dz < 0.0 else 2.0 * top - z
+    lift, r = lift_of(z, dz, first / abs(dz), top), albedo(scene.surfaces, of.BOTTOM, wave, 1.0)
+    start, e = exp(-alpha * first / abs(dz) - rise * lift), exp(-alpha * 2.0 * top / abs(dz))
+    ledger[of.CHIP_END] += weight * (1.0 - start + start * r * (1.0 - e) / (1.0 - e * r))
+    ledger[of.SUBSTRATE_END] += weight * start * (1.0 - r) / (1.0 - e * r)
 
 
 @inlined_kernel
@@ -283,7 +307,10 @@ def _walk_plain(scene: SceneArrays, wave: int, ray: Real, stream: Stream, ledger
     n, weight, topped = scene.numbers[of.INDEX + wave], ray[of.WEIGHT], False
     x, y, z, dx, dy, dz = ray[of.X], ray[of.Y], ray[of.Z], ray[of.DX], ray[of.DY], ray[of.DZ]
     faint, leaks, steep = FAINT * weight, 1.0 - 1.0 / (n * n), 0.0
-    while True:
+    if scene.flags[of.SHUT] and max(dx * dx, dy * dy, dz * dz) <= leaks:
+        book_shut_in(scene, wave, weight, z, dz, ledger)
+        return ENDED
+    for _ in range(MOST_HITS):
         to_x = ((half if dx > 0.0 else -half) - x) / dx if dx != 0.0 else inf
         to_y = ((half if dy > 0.0 else -half) - y) / dy if dy != 0.0 else inf
         to_z = ((top if dz > 0.0 else 0.0) - z) / dz if dz != 0.0 else inf
@@ -334,3 +361,5 @@ def _walk_plain(scene: SceneArrays, wave: int, ray: Real, stream: Stream, ledger
         if axis == 2:
             topped = True
             _note_top(trace, steep, leaks)
+    ledger[of.TRAPPED_END] += weight
+    return ENDED

@@ -15,12 +15,11 @@ from numpy.typing import NDArray
 from containers.compiled import borrowing_kernel, inlined_kernel
 from containers.ray_tracing import arrays as of
 from containers.ray_tracing.arrays import EmissionArrays, SceneArrays, Sinks
-from containers.ray_tracing.chip import OUT, lift_of, walk_chip
+from containers.ray_tracing.chip import OUT, book_shut_in, walk_chip
 from containers.ray_tracing.module import INTO_CHIP, clear_way, receive, walk_module
 from containers.ray_tracing.philox import CHIP, EMISSION, STREAM_WORDS, Stream, draw, philox4x32, start
 from containers.ray_tracing.recording import note_direction
 from containers.ray_tracing.sobol import DIMENSIONS, point
-from containers.ray_tracing.surfaces import albedo
 
 Real = NDArray[np.float64]
 EVENT_OF_EXIT, WAVE_OF_EXIT, WEIGHT_OF_EXIT, EXIT = 6, 7, 8, 9
@@ -279,31 +278,18 @@ def _into_cones(emission: EmissionArrays, n: float, uniforms: Real, ray: Real) -
 def _book_trapped(
     scene: SceneArrays, emission: EmissionArrays, wave: int, stream: Stream, ray: Real, ledger: Real
 ) -> None:
-    """Where the light that is born outside all escape cones ends: the chip and its mirror share it.
-
-    1 - weight of it, on average over histories; the shares are those of one such direction: with e the light left
-    after a round trip and r the mirror's reflectance they are sums of geometric series.
-    """
-    n, alpha, top = scene.numbers[of.INDEX + wave], scene.numbers[of.ABSORPTION], scene.numbers[of.THICKNESS]
-    trapped = 1.0 - ray[of.WEIGHT]
-    if scene.flags[of.CLOSED]:
-        ledger[of.TRAPPED_END if alpha == 0.0 else of.CHIP_END] += trapped
-        return
+    """Where the light that is born outside all escape cones ends: 1 - weight of it, on average over histories, and as
+    one such direction has it."""
+    n, cosine = scene.numbers[of.INDEX + wave], 0.5
     inside = sqrt(1.0 - 1.0 / (n * n))
-    cosine = 0.5
-    for attempt in range(2, 66):
+    for attempt in range(2, 2 if scene.flags[of.CLOSED] else 66):
         a, b, _, _ = draw(stream, EMISSION, attempt)
         tried = _quantile(emission.cosine_quantiles, a)
         sine, phi = sqrt(max(0.0, 1.0 - tried * tried)), 2.0 * pi * b
         if max(abs(tried), abs(sine * np.cos(phi)), abs(sine * np.sin(phi))) < inside:
             cosine = tried
             break
-    first = ray[of.Z] if cosine < 0.0 else 2.0 * top - ray[of.Z]
-    rise, lift = scene.numbers[of.ABSORPTION_RISE], lift_of(ray[of.Z], cosine, first / abs(cosine), top)
-    r = albedo(scene.surfaces, of.BOTTOM, wave, 1.0)
-    start, e = np.exp(-alpha * first / abs(cosine) - rise * lift), np.exp(-alpha * 2.0 * top / abs(cosine))
-    ledger[of.CHIP_END] += trapped * (1.0 - start + start * r * (1.0 - e) / (1.0 - e * r))
-    ledger[of.SUBSTRATE_END] += trapped * start * (1.0 - r) / (1.0 - e * r)
+    book_shut_in(scene, wave, 1.0 - ray[of.WEIGHT], ray[of.Z], cosine, ledger)
 
 
 @inlined_kernel

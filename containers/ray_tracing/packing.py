@@ -45,6 +45,10 @@ QUANTILES = 4097
 MOST_TABLED = 128
 """Surfaces whose tables are kept: a face has 33 kB a wavelength."""
 INSIDE = "inside"
+NEARLY_SMOOTH = 1e-6
+"""Standard deviation of facets' slope below which they turn no shut-in ray out of a chip: 10,000 reflections turn it
+by 2e-4 rad. A column of the roughness begins there (`NEAR_OFF` of its step): on a clear chip above a mirror of 0.999
+light outside all escape cones would be followed for 2 ms a ray, to be lost in the end."""
 
 
 @dataclass(frozen=True)
@@ -299,7 +303,7 @@ def _numbers(scene: Scene) -> Real:
 
 def _flags(scene: Scene, tables: tuple[int, int, int]) -> NDArray[np.int64]:
     layout, chip = scene.layout, scene.chip
-    lossless = {}
+    lossless, clear = {}, {}
     for name, face in (("top", chip.top), ("sides", chip.sides)):
         angles = [
             np.arcsin(1.0 / n) + (np.pi / 2 - np.arcsin(1.0 / n)) * np.linspace(1e-6, 1.0, 65) for n in chip.index
@@ -308,22 +312,27 @@ def _flags(scene: Scene, tables: tuple[int, int, int]) -> NDArray[np.int64]:
             isinstance(bsdf, Fresnel) or float(bsdf.deltas(theta).mirror.min()) > 1.0 - 1e-12
             for bsdf, theta in zip(face.inside, angles, strict=True)
         )
+        clear[name] = lossless[name] and _is_plain(face.inside)
     bottom = chip.mirror if chip.mirror is not None else scene.substrate
     kept = float(bottom.deltas(np.linspace(0.0, np.pi / 2, 65)).mirror.min()) >= 1.0
-    plain = all(
-        part.kind in (MIRROR, REFRACTED) for bsdf in (*chip.top.inside, *chip.sides.inside) for part in parts_of(bsdf)
-    )
+    closed, air_gap = kept or chip.bottom == "air_gap", chip.bottom == "air_gap"
+    by_mirror = chip.bottom == "mirror" and isinstance(chip.mirror, Mirror)
+    nearly = all(isinstance(bsdf, Facets) and bsdf.deviation <= NEARLY_SMOOTH for bsdf in chip.sides.inside)
     flags = (
         isinstance(layout, Cell), *((layout.rows, layout.columns) if isinstance(layout, Array) else (1, 1)),
-        isinstance(layout, Array) and layout.wall is not None, lossless["sides"] and plain, chip.bottom == "air_gap",
-        kept or chip.bottom == "air_gap",
-        scene.emission.from_top, not lossless["top"], *tables,
-        chip.bottom == "mirror" and isinstance(chip.mirror, Mirror) and all(lossless.values()) and plain
-        and not scene.emission.from_top,
+        isinstance(layout, Array) and layout.wall is not None, clear["sides"] and _is_plain(chip.top.inside), air_gap,
+        closed, scene.emission.from_top, not lossless["top"], *tables,
+        by_mirror and all(clear.values()) and not scene.emission.from_top,
+        nearly and clear["top"] and (closed or by_mirror),
     )  # fmt: skip
     if len(flags) != FLAGS:
         raise ValueError(f"{len(flags)} flags of a scene, not {FLAGS}")
     return np.array(flags, np.int64)
+
+
+def _is_plain(waves: tuple[Bsdf, ...]) -> bool:
+    """Whether a face only reflects and refracts."""
+    return all(part.kind in (MIRROR, REFRACTED) for bsdf in waves for part in parts_of(bsdf))
 
 
 def quantiles(x: Real, density: Real) -> Real:
