@@ -42,8 +42,9 @@ Real = NDArray[np.float64]
 FAINT = 0.05
 """Share of the weight at which a ray came in below which roulette is played."""
 
-MOST_HITS = 100_000
-"""Of a chip's faces, some metres of way: what is inside after so many counts as trapped."""
+LONGEST_WALK = 100_000
+"""Steps: from bottom to bottom, face by face where it is plain. A way of a metre and more; with a little loss nothing
+is left by then, without it what little turns light out may take for ever (`_book_rest`)."""
 
 ENDED, OUT = range(2)
 """What became of a walk."""
@@ -74,7 +75,7 @@ def _walk_unfolded(scene: SceneArrays, wave: int, ray: Real, stream: Stream, led
     x, y, z, dx, dy, dz = ray[of.X], ray[of.Y], ray[of.Z], ray[of.DX], ray[of.DY], ray[of.DZ]
     weight, topped = ray[of.WEIGHT], False
     faint = FAINT * weight
-    while True:
+    for _ in range(LONGEST_WALK):
         through_x, through_y = dx * dx > leaks, dy * dy > leaks
         steep = lossy or dz * dz > leaks
         meets_top = dz > 0.0 and steep
@@ -130,9 +131,6 @@ def _walk_unfolded(scene: SceneArrays, wave: int, ray: Real, stream: Stream, led
             _leave(ray, x, y, height, dx, dy, going, half, n, 0 if through_x else 1, topped)
             return OUT
         trace[of.BOTTOM_HITS] += 1.0
-        if trace[of.BOTTOM_HITS] > MOST_HITS:
-            ledger[of.TRAPPED_END] += weight
-            return ENDED
         z, dz = 0.0, abs(dz)
         if sigma > 0.0:  # what nearly all bottoms are, without the way through `scatter`
             a, b, c, _ = draw(stream, BOTTOM_KIND, 0)
@@ -148,13 +146,16 @@ def _walk_unfolded(scene: SceneArrays, wave: int, ray: Real, stream: Stream, led
             weight = _roulette(weight, faint, stream, ledger)
             if weight == 0.0:
                 return ENDED
+    _book_rest(scene, wave, weight, ledger)
+    return ENDED
 
 
 @borrowing_kernel
 def book_shut_in(scene: SceneArrays, wave: int, weight: float, z: float, dz: float, ledger: Real) -> None:
-    """Where light ends that goes round outside all escape cones, keeping |dz|: chip and mirror share it.
+    """Where light ends that goes round outside all escape cones, keeping |dz| > 0, from height z on.
 
-    With e the light left after a round trip and r the mirror's reflectance they are sums of geometric series.
+    Chip and mirror share it: with e what is left after a round trip and r the mirror's reflectance, their shares are
+    sums of geometric series. In a closed chip it is all the chip's, or trapped where that takes nothing.
     """
     alpha, rise, top = scene.numbers[of.ABSORPTION], scene.numbers[of.ABSORPTION_RISE], scene.numbers[of.THICKNESS]
     if scene.flags[of.CLOSED]:
@@ -165,6 +166,17 @@ def book_shut_in(scene: SceneArrays, wave: int, weight: float, z: float, dz: flo
     start, e = exp(-alpha * first / abs(dz) - rise * lift), exp(-alpha * 2.0 * top / abs(dz))
     ledger[of.CHIP_END] += weight * (1.0 - start + start * r * (1.0 - e) / (1.0 - e * r))
     ledger[of.SUBSTRATE_END] += weight * start * (1.0 - r) / (1.0 - e * r)
+
+
+@borrowing_kernel
+def _book_rest(scene: SceneArrays, wave: int, weight: float, ledger: Real) -> None:
+    """Where light ends that has walked too long: in what takes light where it goes round, else it is trapped."""
+    if scene.numbers[of.ABSORPTION] > 0.0:
+        ledger[of.CHIP_END] += weight
+    elif scene.flags[of.CLOSED] or albedo(scene.surfaces, of.BOTTOM, wave, 1.0) >= 1.0:
+        ledger[of.TRAPPED_END] += weight
+    else:
+        ledger[of.SUBSTRATE_END] += weight
 
 
 @inlined_kernel
@@ -310,7 +322,7 @@ def _walk_plain(scene: SceneArrays, wave: int, ray: Real, stream: Stream, ledger
     if scene.flags[of.SHUT] and max(dx * dx, dy * dy, dz * dz) <= leaks:
         book_shut_in(scene, wave, weight, z, dz, ledger)
         return ENDED
-    for _ in range(MOST_HITS):
+    for _ in range(LONGEST_WALK):
         to_x = ((half if dx > 0.0 else -half) - x) / dx if dx != 0.0 else inf
         to_y = ((half if dy > 0.0 else -half) - y) / dy if dy != 0.0 else inf
         to_z = ((top if dz > 0.0 else 0.0) - z) / dz if dz != 0.0 else inf
@@ -361,5 +373,5 @@ def _walk_plain(scene: SceneArrays, wave: int, ray: Real, stream: Stream, ledger
         if axis == 2:
             topped = True
             _note_top(trace, steep, leaks)
-    ledger[of.TRAPPED_END] += weight
+    _book_rest(scene, wave, weight, ledger)
     return ENDED

@@ -278,17 +278,21 @@ def _into_cones(emission: EmissionArrays, n: float, uniforms: Real, ray: Real) -
 def _book_trapped(
     scene: SceneArrays, emission: EmissionArrays, wave: int, stream: Stream, ray: Real, ledger: Real
 ) -> None:
-    """Where the light that is born outside all escape cones ends: 1 - weight of it, on average over histories, and as
-    one such direction has it."""
+    """Where the light that is born outside all escape cones ends.
+
+    On average over histories it is 1 - weight; each books its own along one drawn direction of such light. A closed
+    chip needs none.
+    """
     n, cosine = scene.numbers[of.INDEX + wave], 0.5
-    inside = sqrt(1.0 - 1.0 / (n * n))
-    for attempt in range(2, 2 if scene.flags[of.CLOSED] else 66):
-        a, b, _, _ = draw(stream, EMISSION, attempt)
-        tried = _quantile(emission.cosine_quantiles, a)
-        sine, phi = sqrt(max(0.0, 1.0 - tried * tried)), 2.0 * pi * b
-        if max(abs(tried), abs(sine * np.cos(phi)), abs(sine * np.sin(phi))) < inside:
-            cosine = tried
-            break
+    if not scene.flags[of.CLOSED]:
+        inside = sqrt(1.0 - 1.0 / (n * n))
+        for attempt in range(2, 66):
+            a, b, _, _ = draw(stream, EMISSION, attempt)
+            tried = _quantile(emission.cosine_quantiles, a)
+            sine, phi = sqrt(max(0.0, 1.0 - tried * tried)), 2.0 * pi * b
+            if max(abs(tried), abs(sine * np.cos(phi)), abs(sine * np.sin(phi))) < inside:
+                cosine = tried
+                break
     book_shut_in(scene, wave, 1.0 - ray[of.WEIGHT], ray[of.Z], cosine, ledger)
 
 

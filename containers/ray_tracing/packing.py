@@ -46,9 +46,9 @@ MOST_TABLED = 128
 """Surfaces whose tables are kept: a face has 33 kB a wavelength."""
 INSIDE = "inside"
 NEARLY_SMOOTH = 1e-6
-"""Standard deviation of facets' slope below which they turn no shut-in ray out of a chip: 10,000 reflections turn it
-by 2e-4 rad. A column of the roughness begins there (`NEAR_OFF` of its step): on a clear chip above a mirror of 0.999
-light outside all escape cones would be followed for 2 ms a ray, to be lost in the end."""
+"""Standard deviation of facets' slope up to which light outside all escape cones counts as shut in: 10,000
+reflections turn it by 2e-4 rad. A column of the roughness begins below (`NEAR_OFF` of its step): above a mirror of
+0.999 that light would be followed for 2 ms a ray, to be lost in the end."""
 
 
 @dataclass(frozen=True)
@@ -314,7 +314,7 @@ def _flags(scene: Scene, tables: tuple[int, int, int]) -> NDArray[np.int64]:
         )
         clear[name] = lossless[name] and _is_plain(face.inside)
     bottom = chip.mirror if chip.mirror is not None else scene.substrate
-    kept = float(bottom.deltas(np.linspace(0.0, np.pi / 2, 65)).mirror.min()) >= 1.0
+    kept = float(bottom.deltas(np.linspace(0.0, np.pi / 2, 65)).mirror.min()) > 1.0 - 1e-13  # as `_tabled` rounds
     closed, air_gap = kept or chip.bottom == "air_gap", chip.bottom == "air_gap"
     by_mirror = chip.bottom == "mirror" and isinstance(chip.mirror, Mirror)
     nearly = all(isinstance(bsdf, Facets) and bsdf.deviation <= NEARLY_SMOOTH for bsdf in chip.sides.inside)

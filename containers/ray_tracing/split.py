@@ -14,7 +14,16 @@ from numpy.typing import NDArray
 
 from containers.compiled import borrowing_kernel, inlined_kernel
 from containers.ray_tracing import arrays as of
-from containers.ray_tracing.chip import _bottom, _dim, _leave, _leaves_at, _roulette, lift_of
+from containers.ray_tracing.chip import (
+    LONGEST_WALK,
+    _book_rest,
+    _bottom,
+    _dim,
+    _leave,
+    _leaves_at,
+    _roulette,
+    lift_of,
+)
 from containers.ray_tracing.kernel import Scratch, emit, follow, leave_chip, scramble_keys, scratch
 from containers.ray_tracing.monte_carlo import MonteCarlo
 from containers.ray_tracing.philox import FACE, Stream, draw, follow_up, start
@@ -68,7 +77,7 @@ def _split_history(
     x, y, z, dx, dy, dz = ray[of.X], ray[of.Y], ray[of.Z], ray[of.DX], ray[of.DY], ray[of.DZ]
     chip_x, chip_y, weight, topped = ray[of.CHIP_X], ray[of.CHIP_Y], ray[of.WEIGHT], False
     faint, leaks = FAINT * weight, 1.0 - 1.0 / n2
-    while weight > 0.0:
+    for _ in range(LONGEST_WALK):
         a, b, _, _ = draw(stream, FACE, 0)
         follow_up(stream, FACE)
         top_at, bottom_at = ((top - z) / dz, (2.0 * top - z) / dz) if dz > 0.0 else (inf, -z / dz)
@@ -107,6 +116,9 @@ def _split_history(
             ledger[of.SUBSTRATE_END] += weight
             return
         weight = _roulette(weight, faint, stream, ledger) if 0.0 < weight < faint else weight
+        if weight == 0.0:
+            return
+    _book_rest(scene, wave, weight, ledger)
 
 
 @inlined_kernel

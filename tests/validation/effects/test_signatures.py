@@ -10,13 +10,20 @@ from typing import Any
 import numpy as np
 import pytest
 
+from containers.bsdf import Mirror
+from containers.effects.side_wall_roughness import SideWallRoughness
+from containers.ray_tracing.arrays import SHUT
+from containers.ray_tracing.packing import scene_arrays
 from luxloop.effect import AppliedEffect, EffectParameter, EffectSpec
 from luxloop.errors import InputError
 from luxloop.model import Model
+from tests.ray_scenes import scene
 from validation.dataset.manifest import Sample
 from validation.effects.confounding import Confounding, confounding
 from validation.effects.known import (
+    NEAR_OFF,
     Known,
+    acting,
     far_end,
     is_smooth,
     nearly_off,
@@ -221,6 +228,14 @@ def test_an_effect_that_makes_light_take_other_ways_is_moved_from_nearly_off_by_
     error = column.parts[0] - ripple
     assert column.step == pytest.approx(0.5 * float(one_sided.upper or 0.0))
     assert np.sqrt(np.mean(error**2)) < 0.1  # from off itself it would be 0.6
+
+
+def test_rough_sides_nearly_off_shut_light_in_above_a_mirror() -> None:
+    """There the walk would follow light for milliseconds that nothing turns out (decision 72)."""
+    mirror = scene({"bottom": "mirror", "mirror": Mirror(0.999)})
+    (one,) = acting(SideWallRoughness.spec())
+    nearly = SideWallRoughness(slope=NEAR_OFF * float(one.upper or 0.0))
+    assert scene_arrays(nearly.scene(mirror)).flags[SHUT] == 1
 
 
 def test_nearly_off_is_near_to_off_in_what_acts_alone() -> None:
