@@ -115,7 +115,9 @@ def decided(
     rivals = [one for one in alike if one.name not in others_too and _sigma_apart(best, one) < TOLD_APART]
     if rivals:
         told = [best.name, *(one.name for one in rivals)]
-        sentence = f"The data cannot tell apart {', '.join(told)}{_by_fits(best, rivals)}. {next_image(told)}"
+        also = [name for name in names if name not in told and name not in others_too]
+        more = f" As much is explained by {', '.join(also)}, which they tell from {best.name}." if also else ""
+        sentence = f"The data cannot tell apart {', '.join(told)}{_by_fits(best, rivals)}.{more} {next_image(told)}"
         return Verdict("cannot_tell_apart", sentence, names)
     held = "a held-out test is not possible with these data"
     if best.held_out_percent is not None:

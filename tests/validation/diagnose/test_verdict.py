@@ -72,6 +72,22 @@ def test_how_near_the_fits_are_is_said_where_columns_would_tell_them() -> None:
         assert words in decided(tried, 32, lambda: "", lambda _: "Take one image.").sentence
 
 
+def test_of_the_reported_set_the_sentence_names_all() -> None:
+    """Those that explain as much and are told apart, too: a reader of the sentence alone would not know of them."""
+    share = Share(0.98, 0.03)
+    tried = [
+        explanation("lobe", 639.0, share, {"far": 3.0, "walls": 8.0}),
+        explanation("far", 630.0, share, {"lobe": 3.0}),
+        explanation("walls", 560.0, share, {"lobe": 8.0}),
+    ]
+    verdict = decided(tried, 32, lambda: "", lambda _: "Take one image.")
+    assert verdict.set == ("lobe", "far", "walls")
+    words = "cannot tell apart lobe, far. As much is explained by walls, which they tell from lobe. Take one image."
+    assert verdict.sentence.endswith(words)
+    beside = decided(tried, 32, lambda: "", lambda _: "Take one image.", beside=["walls"])
+    assert "As much" not in beside.sentence
+
+
 @pytest.mark.parametrize(
     ("left", "drop", "first"), [(0.001, 400.0, "dark"), (0.001, 300.0, "chips"), (0.3, 400.0, "chips")]
 )
