@@ -57,9 +57,9 @@ TOP_IN, TOP_OUT, SIDE_IN, SIDE_OUT, BOTTOM, SUBSTRATE, RECEIVER, EDGE = range(8)
 smooth and lossless, below a top that does not scatter; air below the chip; a chip bottom that neither absorbs nor
 scatters; emission from the top face into air; a top face that takes light beyond its critical angle; where the
 receiver's response begins in the tables and how many numbers it has; where the chips' displacements begin; a chip
-whose light never changes |dx|, |dy|, |dz|, so that it is born inside the escape cones only; one whose sides are so
-nearly smooth (`packing.NEARLY_SMOOTH`), below a top and on a bottom like its, that what begins a walk outside these
-cones is shut in, too."""
+whose light never changes |dx|, |dy|, |dz|, so that it is born inside the escape cones only; one with as
+good a top and bottom, whose sides are so nearly smooth (`packing.NEARLY_SMOOTH`) that light which begins a walk
+outside these cones stays inside."""
 
 
 class SceneArrays(NamedTuple):

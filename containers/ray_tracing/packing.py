@@ -315,7 +315,8 @@ def _flags(scene: Scene, tables: tuple[int, int, int]) -> NDArray[np.int64]:
         clear[name] = lossless[name] and _is_plain(face.inside)
     bottom = chip.mirror if chip.mirror is not None else scene.substrate
     kept = float(bottom.deltas(np.linspace(0.0, np.pi / 2, 65)).mirror.min()) > 1.0 - 1e-13  # as `_tabled` rounds
-    closed, air_gap = kept or chip.bottom == "air_gap", chip.bottom == "air_gap"
+    air_gap = chip.bottom == "air_gap"
+    closed = kept or air_gap
     by_mirror = chip.bottom == "mirror" and isinstance(chip.mirror, Mirror)
     nearly = all(isinstance(bsdf, Facets) and bsdf.deviation <= NEARLY_SMOOTH for bsdf in chip.sides.inside)
     flags = (
