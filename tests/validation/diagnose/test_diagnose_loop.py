@@ -115,6 +115,10 @@ def test_a_hidden_effect_is_named_added_and_taken_out_again(settings: Settings, 
         (step,) = (one.value for one in journal.records("/validation") if one.value.command == "diagnose")
         assert step.document["sentence"] == found["sentence"]
 
+        named = told(settings, tmp_path, "next", "vignetting", "magnification", "--twin", *free)
+        assert named["rivals"] == ["vignetting", "magnification"]  # whatever the verdict was
+        assert named["candidates"][0]["expected_sigma"] > named["candidates"][0]["now_sigma"]
+
         added = told(settings, tmp_path, "add", "vignetting", "--twin", *free)
         assert added["after"]["fitted_percent"] < 1.1 * added["after"]["noise_percent"]
         assert added["after"]["fitted_percent"] < added["before"]["fitted_percent"]
