@@ -28,8 +28,9 @@ from luxloop.model import Environment
 
 MOST_FILMS = 5
 SUMS = ("bins", "ledger", "arrivals", "directions")
-OTHER_DRAWS = 0x9E3779B97F4A7C15
-"""Turns the seed from film to film, so that their noise is not the same."""
+OTHER_DRAWS = 0xD1B54A32D192ED03
+"""Turns the seed from film to film, so that their noise is not the same (that of stored exits is). Another constant
+than `exits.LANDING`: with that a film's landing had the numbers of the walk inside the chip."""
 
 
 def with_tops(scene: Scene, environment: Environment, film: FilmTable | None, effects: Effects) -> Scene:

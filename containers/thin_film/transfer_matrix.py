@@ -17,7 +17,7 @@ The stack is summed from its far end by Airy's recursion, rho_j = r + t t' q / (
 every exponential decays, so opaque layers and evanescent gaps neither overflow nor lose digits.
 
 Rough faces (rms height s, Debye-Waller): r_ij exp(-2 kz_i^2 s^2), r_ji exp(-2 kz_j^2 s^2), both t
-exp(-(kz_i - kz_j)^2 s^2 / 2), kz complex. Source: Filinski, Katsidis and Siapkas, Appl. Opt. 41, 3978 (2002).
+exp(-(kz_i - kz_j)^2 s^2 / 2), kz complex. Source: Katsidis and Siapkas, Appl. Opt. 41, 3978 (2002).
 
 The budget R + T + S_R + S_T + A = 1 is counted where the power goes. A is what the coherent field loses between the
 faces (Poynting flux into each layer minus flux out of it: never negative, zero without absorption). S is what it
