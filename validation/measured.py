@@ -69,6 +69,10 @@ class MeasuredImage:
         """Variance (..., row, column) in DN^2 of the temporal noise for a predicted signal in DN; without PRNU."""
         return self.constant_dn2 + self.slope_dn * np.maximum(predicted_dn, 0.0)
 
+    def noise_dn2(self, predicted_dn: Real) -> Real:
+        """The same with the camera's pattern, as if it were each image's own."""
+        return self.variance_dn2(predicted_dn) + (self.prnu * predicted_dn) ** 2
+
     def may_be_clipped(self, predicted_dn: Real) -> NDArray[np.bool_]:
         """Where the mean of several frames may hide a saturated one: predicted mean + 3 sigma of a frame passes it.
 
@@ -192,7 +196,10 @@ def _correction(
     one = np.ones((1, 1))
     mean, square = (one, one) if inverse is None else (binned_mean(inverse, factor), binned_mean(inverse**2, factor))
     correction = _Correction(ignored, inverse, mean, square, None)
-    return correction if dark is None else replace(correction, dark_dn=correction.binned(read(dark), factor))
+    if dark is None:
+        return correction
+    whole = _finite(read(dark), np.zeros(shape, np.bool_) if ignored is None else ignored, dark)
+    return replace(correction, dark_dn=correction.binned(whole, factor))
 
 
 def inverse_flat(flat: Pixels, ignored: NDArray[np.bool_] | None, name: str) -> NDArray[np.float32]:

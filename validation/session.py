@@ -35,7 +35,7 @@ from validation.dataset.manifest_file import MANIFEST
 from validation.effects.known import Known
 from validation.model_versions import Version, save
 from validation.prediction import Predictor
-from validation.sample_values import refuse_strangers
+from validation.sample_values import is_by_sample, refuse_strangers
 
 if TYPE_CHECKING:
     from luxloop.bus.frame import Array
@@ -115,7 +115,8 @@ def _of_these_samples(model: Model, here: Path, dataset: Dataset) -> Model:
     """
     if model.data is not None and (here / model.data.path).resolve() != dataset.folder.resolve() and model.samples:
         sys.stderr.write(f"luxloop: values by sample are of {model.data.path}, not of these data: left out\n")
-        return model.model_copy(update={"samples": {}})
+        left = {path: one for path, one in model.fit.items() if not is_by_sample(model, path)}
+        return model.model_copy(update={"samples": {}, "fit": left})
     refuse_strangers(model, [sample.id for sample in dataset.manifest.samples])
     return model
 

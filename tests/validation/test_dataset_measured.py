@@ -248,3 +248,20 @@ def test_spectra_and_far_fields_come_as_columns(folder: Path) -> None:
     assert spectrum.table.polarisation == ("u", "u")
     np.testing.assert_array_equal(spectrum.table.value, [0.71, 0.72])
     np.testing.assert_array_equal(far_field.table.theta_deg, [0.0, 30.0, 60.0])
+
+
+def test_a_dark_that_is_no_number_is_refused_unless_it_is_masked(folder: Path) -> None:
+    """As an image is; where it is masked it says nothing, in other images of the camera either."""
+    dark = np.full((PIXELS, PIXELS), BLACK_DN, np.float32)
+    dark[10, 11] = np.nan
+    put(folder, "dark/nan.tif", dark)
+    edit(folder, "exposure_ms = 4.0", 'exposure_ms = 4.0\ndark = "dark/nan.tif"')
+    with pytest.raises(InputError, match=r"dark/nan.tif: values: got '1 pixels NaN or infinite'"):
+        images(folder, BIN_UM)
+    mask = np.ones((PIXELS, PIXELS), np.uint8)
+    mask[10, 11] = 0
+    put(folder, "masks/mask.tif", mask)
+    edit(folder, 'dark = "dark/nan.tif"', 'dark = "dark/nan.tif"\nmask = "masks/mask.tif"')
+    image = images(folder, BIN_UM)["array"]
+    assert np.isfinite(image.signal_dn).all()
+    assert not image.used[5, 5]

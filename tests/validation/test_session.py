@@ -8,7 +8,9 @@ import pytest
 
 from luxloop.effect import AppliedEffect
 from luxloop.errors import InputError
+from luxloop.model import Fit as Limits
 from luxloop.model_file import find_model, read_model
+from validation.fit.parameters import free_paths
 from validation.model_versions import save, versions
 from validation.session import subject_of
 
@@ -41,12 +43,18 @@ def test_values_by_sample_are_of_their_own_data(tmp_path: Path, capsys: pytest.C
     """Of data in another folder they are left out, which is said; those of a sample that is not there are refused."""
     file = tmp_path / "model.toml"
     own = {"array-0": {"chip_power_spread": {"gain": (0.1,) * 25}}}
-    model = find_model("paper").model_copy(update={"effects": (POWERS,), "samples": own})
+    paper = find_model("paper")
+    limits = {
+        "effects.chip_power_spread.gain": Limits(free=True, lower=-0.5, upper=0.5, prior_mean=0.0, prior_sd=0.1)
+    }
+    model = paper.model_copy(update={"effects": (POWERS,), "samples": own, "fit": paper.fit | limits})
     save(file, model, "by hand")
     assert subject_of(str(file), EXAMPLE).model.samples == own
     elsewhere = {"path": str(tmp_path), "sha256": "a" * 64}
     save(file, type(model).model_validate({**model.model_dump(), "data": elsewhere}), "by hand")
-    assert subject_of(str(file), EXAMPLE).model.samples == {}
+    left = subject_of(str(file), EXAMPLE).model
+    assert left.samples == {}
+    assert not any(path.startswith("effects.") for path in free_paths(left))  # a list is no number that could move
     assert "left out" in capsys.readouterr().err
     save(file, model.model_copy(update={"samples": {"gone": own["array-0"]}}), "by hand")
     with pytest.raises(InputError, match="a sample of the data: single-0"):
