@@ -38,10 +38,11 @@ from validation.fit import (
     fit,
     profile,
     refitted,
+    unknowns_of,
 )
 from validation.fit.anchored_fit import refuse_dark
 from validation.fit.descent import PROMISED
-from validation.fit.problem import wrapped_deg
+from validation.fit.problem import Problem, wrapped_deg
 from validation.fit.start import coarse_shift_px, start_values
 from validation.measured import MeasuredSpectrum
 from validation.prediction import Anchored, Pose, PredictedCurve
@@ -217,6 +218,21 @@ def test_clipped_frames_are_left_out():
     images = [replace(image, camera=low) for image in images]
     result = fit(MODEL, images, Spots())
     assert 0 < (~result.problem.images[0].used).sum() < 30
+    brighter = low.model_copy(update={"full_well_e": 0.9 * low.full_well_e})
+    beside = replace(result.problem, images=tuple(replace(one, camera=brighter) for one in result.problem.images))
+    again = refitted(beside, result.values)  # an effect may bring more pixels near the limit: chi2 is of the same
+    assert len(again.residual) == len(result.residual)
+
+
+def test_a_number_of_an_effect_starts_where_the_model_has_it():
+    """Whatever it is called: gains and scales of shots start at 1."""
+    mine = AppliedEffect(name="mine", parameters={"gain": 0.1})
+    limits = {"effects.mine.gain": Fit(free=True, lower=0.0, upper=0.3)}
+    model = MODEL.model_copy(update={"effects": (mine,), "fit": limits})
+    images = two_images()
+    unknowns = unknowns_of(model, ["effects.mine.gain"], images)
+    values = start_values(Problem(model, unknowns, tuple(images), Spots()), {})
+    assert unknowns.named(values)["effects.mine.gain"] == 0.1
 
 
 def test_curves_are_fitted_with_their_films():

@@ -65,7 +65,7 @@ def has_strayed(found: Fit) -> bool:
     anchor = found.problem.anchor
     if anchor is None or not has_monte_carlo(found.problem):
         return False
-    there = anchor.model.leaves()
+    there = numbers(anchor.model)
     known = [path for path in found.problem.unknowns.model_paths if path in there]
     return any(abs(found.value(path) - float(there[path])) > STRAYED * found.error(path) > 0.0 for path in known)
 

@@ -40,26 +40,25 @@ MAX_DAMPING = 1e6
 def refitted(problem: Problem, values: Real, most: int = MAX_ITERATIONS, below: float = np.inf) -> Fit:
     """The fit of a problem from given values, about the anchor that it has, in so many iterations at most.
 
+    It is to the problem's own pixels, all of them, so that chi2 is that of the fits beside it.
     `below`: what chi2 of data and priors is to reach; where columns no longer promise that, the fit ends as it is.
     """
-    return unclipped(problem, values, most=most, below=below)
+    return _descend(problem, values, 0, most, below)
 
 
-def unclipped(
-    problem: Problem, values: Real, done: int = 0, most: int = MAX_ITERATIONS, below: float = np.inf
-) -> Fit:
+def unclipped(problem: Problem, values: Real, done: int = 0, most: int = MAX_ITERATIONS) -> Fit:
     """The optimum, without pixels whose mean of several frames may hide a clipped one (their mean is too low)."""
-    found = _descend(problem, values, done, most, below)
+    found = _descend(problem, values, done, most)
     images = []
     for image, signal_dn in zip(problem.images, found.signals_dn, strict=True):
         used = image.used & ~image.may_be_clipped(signal_dn)
         images.append(image if used.sum() in (0, image.used.sum()) else replace(image, used=used))
     if all(new is old for new, old in zip(images, problem.images, strict=True)):
         return found
-    return _descend(replace(problem, images=tuple(images)), found.values, found.iterations, most, below)
+    return _descend(replace(problem, images=tuple(images)), found.values, found.iterations, most)
 
 
-def _descend(problem: Problem, values: Real, done: int, most: int, below: float) -> Fit:
+def _descend(problem: Problem, values: Real, done: int, most: int, below: float = np.inf) -> Fit:
     """Iterates from `values` to the optimum, or as far as it goes."""
     noisy = problem.anchor is not None and problem.anchor.histories > 0
     evaluation, damping, stalled, pace = problem.evaluate(values), 0.0, 0, Pace()

@@ -30,6 +30,7 @@ from validation.fit.parameters import (
 from validation.fit.whitening import Whitening, whitening
 from validation.measured import MeasuredImage
 from validation.prediction import POSE_COLUMNS, Anchored, Pose, Predicted, PredictedCurve, Sensor, View
+from validation.sample_values import numbers
 
 Real = NDArray[np.float64]
 
@@ -204,7 +205,7 @@ class Evaluation:
         change = np.zeros(image.signal_dn.shape)
         if at is None or one.twin_per_mm2 is None:
             return change
-        here, there = self.problem.unknowns.named(values), at.model.leaves()
+        here, there = self.problem.unknowns.named(values), numbers(at.model)
         for path in self.problem.unknowns.model_paths:
             change += (here[path] - float(there.get(path, here[path]))) * one.jacobian_per_mm2[path]
         light = np.maximum(one.twin_per_mm2, FAINT * one.twin_per_mm2.max())

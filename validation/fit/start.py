@@ -22,8 +22,8 @@ def start_values(problem: Problem, given: Mapping[str, float]) -> Real:
     """Values to start from: those of the model, those given, and for each image what a first look at it says."""
     names = problem.unknowns.names
     leaves = numbers(problem.model)
-    values = dict.fromkeys(names, 0.0) | {path: float(leaves[path]) for path in problem.unknowns.model_paths}
-    values |= {name: 1.0 for name in names if name == "gain" or name.endswith((".gain", ".scale"))}
+    values = {name: 1.0 if name == "gain" or name.endswith((".gain", ".scale")) else 0.0 for name in names}
+    values |= {path: float(leaves[path]) for path in problem.unknowns.model_paths}
     values |= {name: value for name, value in given.items() if name in values}
     if not problem.images:
         return _with_scales(problem, _vector(problem, values), given)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -16,10 +17,12 @@ from luxloop.model_file import parse_toml, to_toml
 from tests.validation.analytic import MODEL, PATHS
 from tests.validation.diagnose import made_up
 from tests.validation.diagnose.made_up import CHIPS, columns_at, hidden
+from validation.diagnose.anew import has_strayed
 from validation.diagnose.by_sample import Own, _members, _renewed, is_by_sample, with_members_free, with_own_values
 from validation.diagnose.held_out import folds_by_blocks, folds_by_sample, held_out
 from validation.fit import Fit, fit
 from validation.fit.parameters import free_paths
+from validation.prediction import Anchored
 from validation.sample_values import free_members, members, of_sample, refuse_strangers, with_members, without_samples
 
 TILTED = made_up.spec("ripple").model_copy(update={"scope": "per_sample"})
@@ -95,6 +98,18 @@ def test_a_model_with_values_by_sample_is_fitted_again_with_them_free() -> None:
     assert held.chi2 > found.chi2 + 10.0
     for path in free_members(model):
         assert abs(again.value(path) - found.value(path)) < 0.2 * found.error(path)
+
+
+def test_values_by_sample_stray_from_their_anchor_as_others_do() -> None:
+    """Where the anchor's model has them, too: the images there were other ones."""
+    truth = hidden("chips", {"gain": ()}, **{name: {"gain": gains} for name, gains in GAINS.items()})
+    _, found = added(truth, CHIPS)
+    off = with_members(found.model, dict.fromkeys(members(found.model), 0.0))
+    strayed = {}
+    for model in (found.model, off, without_samples(off, "chips")):
+        about = replace(found.problem, anchor=Anchored(model, 1000))
+        strayed[model.sha256] = has_strayed(replace(found, problem=about))
+    assert list(strayed.values()) == [False, True, False]
 
 
 def test_what_only_left_out_data_know_is_fitted_there() -> None:
