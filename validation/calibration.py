@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -141,7 +141,7 @@ def calibrated(
     Raises InputError where there are no images of single chips or of arrays to decide by.
     """
     progress(0.0, "the model as it is")
-    before = compared(model, observed, predictor, Solver(None, solver.seed), cache=cache)
+    before = compared(model, observed, predictor, replace(solver, most_histories=0), cache=cache)
     stages: list[Stage] = []
     if way is not None:
         experiment = Experiment(observed.images, before.fit.poses, predictor, solver.anchor(model))

@@ -20,7 +20,7 @@ from validation.contrasts import Region, Structure, structure
 from validation.curve_profiles import curve_regions, fourier
 from validation.fit import CurveData, CurvesOf, Fit, fit
 from validation.fit.result import MOST_HISTORIES
-from validation.measured import MeasuredFarField, MeasuredImage, MeasuredSpectrum
+from validation.measured import MeasuredFarField, MeasuredSpectrum
 from validation.observed import Observed
 from validation.prediction import Anchored, Curve, FarView, PredictedCurve, Predictor
 from validation.prediction.far_fields import HISTORIES
@@ -69,6 +69,10 @@ class Solver:
         """The anchor at a model; of the twin alone one without Monte Carlo, whose chips lend their exits."""
         return Anchored(model, self.histories or 0, self.seed)
 
+    def curves_of(self, predictor: Predictor) -> CurvesOf:
+        """What a fit asks for its curves: far fields with this seed, and no fewer histories than the anchors have."""
+        return CurvesOf(_Curves(predictor, self))
+
     def document(self) -> dict[str, Any]:
         """For people and machines."""
         method = "twin" if self.histories is None else "anchored"
@@ -102,8 +106,8 @@ class Comparison:
         return {
             "sentence": self.sentence,
             "solver": self.solver.document(),
-            "trusted": not self.distrust,
-            "reason": "; ".join(self.distrust),
+            "trusted": self.fit.trusted,
+            "reason": "; ".join(self.fit.distrust),
             "structure": {
                 "p": found.p, "p_text": found.p_text, "z": found.z, "statistic": found.statistic,
                 "draws": found.draws, "seed": found.seed, "chi2_per_pixel": self.fit.chi2_per_row,
@@ -123,23 +127,6 @@ class Comparison:
         """Where it is least like noise, the least likely first: of images, and of curves by their coordinates."""
         of_curves = curve_regions(self.fit, self.structure.variance_scale)
         return sorted((*self.structure.where, *of_curves), key=lambda region: region.log_chance)[:REGIONS]
-
-    @property
-    def distrust(self) -> list[str]:
-        """Why the fit's verdicts may not be used; empty where they may."""
-        shares = {shot: share for shot, share in self.curve_noise_shares.items() if share > MOST_MODEL_NOISE}
-        histories = max(HISTORIES, self.solver.histories or 0)
-        return [*self.fit.distrust] + [
-            f"the Monte Carlo's own noise in {shot} is {share:.2f} of its sigma, above {MOST_MODEL_NOISE:g}: about"
-            f" {float(f'{histories * (share / MOST_MODEL_NOISE) ** 2:.1e}'):,.0f} histories would do"
-            for shot, share in shares.items()
-        ]
-
-    @property
-    def curve_noise_shares(self) -> dict[str, float]:
-        """Rms of the model's own noise in units of the measurement's, curve by curve."""
-        sigmas = zip(self.fit.problem.curves, self.fit.whitening.curve_sigma, strict=True)
-        return {one.id: float(np.sqrt(np.mean((sigma / one.sigma) ** 2 - 1.0))) for one, sigma in sigmas}
 
     @property
     def model_noise_share(self) -> float:
@@ -172,14 +159,15 @@ class Comparison:
         }  # fmt: skip
         for number, image in enumerate(self.fit.problem.images):
             if image.shot.id == shot:
-                return same | self._image(image, np.asarray(self.fit.signals_dn[number]))
+                return same | self._image(number)
         number = [curve.id for curve in self.fit.problem.curves].index(shot)
         return same | self._curve(number, self.fit.residual_curves[number])
 
-    def _image(self, image: MeasuredImage, model_dn: Real) -> dict[str, Any]:
+    def _image(self, number: int) -> dict[str, Any]:
+        image, model_dn = self.fit.problem.images[number], np.asarray(self.fit.signals_dn[number])
         shot, used = image.shot.id, image.used
         measured, fitted = image.signal_dn[used], model_dn[used]
-        level, variance = float(np.mean(fitted)), image.variance_dn2(model_dn)[used]
+        level, variance = float(np.mean(fitted)), self.fit.variances_dn2[number][used]
         predicted = (model_dn - self.fit.offsets_dn[shot]) / self.fit.gains[shot]
         mse, mse_dn2, _ = errors_of(image, predicted)
         pose = self.fit.poses[shot]
@@ -209,18 +197,18 @@ class Comparison:
         ]  # fmt: skip
 
     def _curve(self, number: int, z: Real) -> dict[str, Any]:
-        curve = self.fit.problem.curves[number]
-        difference, source = z * self.fit.whitening.curve_sigma[number], curve.source
+        curve, sigma = self.fit.problem.curves[number], self.fit.whitening.curve_sigma[number]
+        difference, source = z * sigma, curve.source
         level = 100.0 if curve.is_angle else float(np.mean(np.abs(curve.value)))  # angles: their own degrees
         of = {"sample": source.sample.id} if isinstance(source, MeasuredFarField) else {}
         if isinstance(source, MeasuredSpectrum):
             of = {"sample": source.film.id, "quantity": source.shot.quantity}
         return of | {
             "kind": "spectrum" if not curve.free_scale else "far_field", "pixels": int(curve.value.size),
-            "rms_error": float(np.sqrt(np.mean(difference**2))), "noise": float(np.sqrt(np.mean(curve.sigma**2))),
+            "rms_error": float(np.sqrt(np.mean(difference**2))), "noise": float(np.sqrt(np.mean(sigma**2))),
             "rms_error_percent": 100.0 * float(np.sqrt(np.mean(difference**2))) / level,
-            "noise_percent": 100.0 * float(np.sqrt(np.mean(curve.sigma**2))) / level,
-            "model_noise_share": self.curve_noise_shares[curve.id],
+            "noise_percent": 100.0 * float(np.sqrt(np.mean(sigma**2))) / level,
+            "model_noise_share": curve_noise_shares(self.fit)[curve.id],
             "unit": "deg" if curve.is_angle else "1",
         }  # fmt: skip
 
@@ -258,13 +246,30 @@ def compared(
         free=free,
         anchor_at=solver.anchor_at,
         curves=observed.curves,
-        predict_curves=CurvesOf(_Curves(predictor, solver)),
+        predict_curves=solver.curves_of(predictor),
         others=observed.films,
         start=observed.films_at,
         most_histories=solver.most_histories,
     )
     left = structure(found, seed=solver.seed, cache=cache)
-    return Comparison(observed, found.doubted(left.doubts), left, solver)
+    return Comparison(observed, found.doubted([*left.doubts, *noisy_curves(found, solver)]), left, solver)
+
+
+def noisy_curves(found: Fit, solver: Solver) -> list[str]:
+    """Why verdicts on far fields may not be used, whose Monte Carlo is as noisy as they are."""
+    histories = max(HISTORIES, solver.histories or 0)
+    return [
+        f"the Monte Carlo's own noise in {shot} is {share:.2f} of its sigma, above {MOST_MODEL_NOISE:g}: about"
+        f" {float(f'{histories * (share / MOST_MODEL_NOISE) ** 2:.1e}'):,.0f} histories would do"
+        for shot, share in curve_noise_shares(found).items()
+        if share > MOST_MODEL_NOISE
+    ]
+
+
+def curve_noise_shares(found: Fit) -> dict[str, float]:
+    """Rms of the model's own noise in units of the measurement's, curve by curve."""
+    sigmas = zip(found.problem.curves, found.whitening.curve_sigma, strict=True)
+    return {one.id: float(np.sqrt(np.mean((sigma / one.sigma) ** 2 - 1.0))) for one, sigma in sigmas}
 
 
 @dataclass(frozen=True)

@@ -193,10 +193,12 @@ def next_(
     """Name the measurement that would tell rival effects apart, with the sigma to expect and the stanza to fill."""
     from validation import told_diagnosis as told
     from validation.diagnose.frozen import slopes_of
-    from validation.diagnose.next_measurement import NO_FILM, Rivals
+    from validation.diagnose.next_measurement import NO_FILM, Rivals, left_out_of
     from validation.diagnose.refit import refit
 
-    rivals = effects or rivals_of(model)
+    rivals = list(dict.fromkeys(effects or rivals_of(model)))
+    if len(rivals) < 2:
+        raise InputError("EFFECT", ", ".join(rivals), "two effects or more, to be told apart", "name another one")
     with diagnosing(
         "next", model, free=free, histories=histories_traced(twin, histories, most_histories), seed=seed,
         pixel_um=pixel_um, film=film, runs=runs, router=router, no_local=no_local, say=not (as_json or quiet),
@@ -212,6 +214,7 @@ def next_(
         proposals = Rivals(base, refits, engine.predictor, engine.known.beyond_twin).proposals(engine.progress)
         told_of = facts_of(subject, at, engine, pixel_um, film) | {
             "rivals": rivals,
+            "left_out": left_out_of(refits),
             "candidates": [one.document() for one in proposals],
             "next_measurement": proposals[0].document() if proposals else None,
         }
@@ -224,7 +227,9 @@ def keep(subject: Subject, document: dict[str, Any]) -> None:
     file = last_file(subject.file)
     if file is None:
         return
-    small = {name: document[name] for name in ("verdict", "sentence", "set", "model_sha256", "dataset_sha256")}
+    small = {
+        name: document[name] for name in ("verdict", "sentence", "set", "rivals", "model_sha256", "dataset_sha256")
+    }
     file.parent.mkdir(parents=True, exist_ok=True)
     with whole(file) as fresh:
         fresh.write_text(json.dumps(small), encoding="utf-8")
@@ -242,7 +247,7 @@ def _verdict(file: Path) -> dict[str, Any]:
     text = read_text(file, "EFFECT", "a diagnosis before", "luxloop diagnose comes first")
     try:
         last = json.loads(text)
-        return {name: last[name] for name in ("verdict", "set", "model_sha256")}
+        return {name: last[name] for name in ("verdict", "set", "rivals", "model_sha256")}
     except (KeyError, TypeError, ValueError, RecursionError) as error:
         mend = "run luxloop diagnose again, or name the effects"
         raise InputError("EFFECT", str(file), "what luxloop diagnose wrote there", mend) from error
@@ -267,4 +272,4 @@ def rivals_of(model: str) -> list[str]:
     if last["verdict"] != "cannot_tell_apart":
         mend = f"name two effects; it said {last['verdict']}"
         raise InputError("EFFECT", "none", "a diagnosis that left rivals", mend)
-    return list(last["set"])
+    return [*last["set"][:1], *last["rivals"]]

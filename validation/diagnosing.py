@@ -14,7 +14,7 @@ from pathlib import Path
 from luxloop.effect import EffectSpec, Value
 from luxloop.errors import InputError, RemoteError
 from luxloop.model import Model
-from validation.comparing import Solver
+from validation.comparing import Solver, noisy_curves
 from validation.contrasts.structure import DRAWS
 from validation.diagnose.by_sample import is_by_sample, with_members_free, with_own_values
 from validation.diagnose.columns import FitSight, candidates_of
@@ -31,7 +31,7 @@ from validation.diagnose.rounds import Diagnosis
 from validation.diagnose.score import Candidate, Projected, Score, scores
 from validation.effects.known import Known, for_chips
 from validation.effects.signatures import Column, signature
-from validation.fit import CurvesOf, Fit, fit
+from validation.fit import Fit, fit
 from validation.fit.parameters import free_paths
 from validation.observed import Observed
 from validation.prediction import Predictor
@@ -83,14 +83,17 @@ class Diagnosing:
             free=list(dict.fromkeys(free)),
             anchor_at=anchor_at,
             curves=self.observed.curves,
-            predict_curves=CurvesOf(self.predictor),
+            predict_curves=self.solver.curves_of(self.predictor),
             others=self.observed.films,
             start=self.observed.films_at,
             most_histories=self.solver.most_histories,
         )
+        found = found.doubted(noisy_curves(found, self.solver))
         moving = {member.effect for member, _ in free_members(model).values()}
         specs = [one for one in self.known.specs if one.name in moving]
-        return with_members_free(found, specs, self._apart) if specs else found
+        if not specs:
+            return found
+        return with_members_free(found, specs, self._apart).doubted(noisy_curves(found, self.solver))
 
     def ground(self, found: Fit) -> Ground:
         """The structure that a fit leaves, and its null."""

@@ -1,12 +1,14 @@
 """What is left of an image against one thing at a time: distance from the nearest chip, azimuth, radius, frequency.
 
 A profile is the mean of measured minus model over a class of pixels, in percent of the model there; its band is the
-95 % half width of the noise alone. That of frequency is the power of the residual, 1 for noise; chi2 against pairs.
+95 % half width of the noise alone, with that of the model's Monte Carlo, which pixels share. That of frequency is the
+power of the residual, 1 for noise; chi2 against pairs.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -31,7 +33,7 @@ def profiles(fit: Fit) -> list[Profile]:
     residuals = fit.residual_images
     for number, image in enumerate(fit.problem.images):
         model_dn = np.asarray(fit.signals_dn[number])
-        found += list(_in_place(image, model_dn, _axes(image, fit)))
+        found += list(_in_place(image, model_dn, fit.model_noise_dn(number), _axes(image, fit)))
         found.append(_frequency(image, residuals[number]))
     found += _pairs(fit.problem.images, residuals)
     return found + curve_profiles(fit)
@@ -54,14 +56,16 @@ def _edges(values: Real, least: float) -> Real:
     return np.arange(0.0, float(values.max()) + width, width)
 
 
-def _in_place(image: MeasuredImage, model_dn: Real, axes: Iterator[tuple[str, str, Real, Real]]) -> Iterator[Profile]:
-    difference, variance = image.signal_dn - model_dn, image.variance_dn2(model_dn)
+def _in_place(
+    image: MeasuredImage, model_dn: Real, shared_dn: Real, axes: Iterator[tuple[str, str, Real, Real]]
+) -> Iterator[Profile]:
+    """`shared_dn` (function, row, column): noise of the model, each times one unit normal number."""
+    difference, variance = image.signal_dn - model_dn, image.noise_dn2(model_dn)
     for against, unit, values, edges in axes:
         place = np.digitize(values[image.used], edges) - 1
-        counts, left, noise, level = (
-            np.bincount(place, weights, minlength=len(edges))
-            for weights in (None, difference[image.used], variance[image.used], model_dn[image.used])
-        )
+        sums = partial(np.bincount, place, minlength=len(edges))
+        counts, left, noise, level = map(sums, (None, *(one[image.used] for one in (difference, variance, model_dn))))
+        noise = noise + np.sum([sums(one[image.used]) ** 2 for one in shared_dn], axis=0)
         kept = (counts >= LEAST_PIXELS) & (level > 0.0)
         middles = (edges + 0.5 * (edges[1] - edges[0]))[kept]
         yield {

@@ -7,6 +7,7 @@ from itertools import groupby
 from typing import Any
 
 from validation.diagnose.explanation import size_in_words
+from validation.diagnose.next_measurement import chip_by_chip, next_in_words
 from validation.told import table, warnings
 
 Document = Mapping[str, Any]
@@ -66,8 +67,9 @@ def _seen_above(limits: Sequence[Document]) -> Iterator[str]:
 
 def next_measurement(document: Document) -> Iterator[str]:
     """Candidates by what they would bring, and what to write into the manifest."""
+    left_out = document.get("left_out", ())  # of `next`; a diagnosis says it in its sentence
     if not document["candidates"]:
-        yield "No further image of these samples separates them: measure the camera's own targets first."
+        yield next_in_words((), left_out)
         return
     yield "Camera targets (a flat field, a slanted edge, an exposure series) settle what the camera does first."
     rows = [
@@ -75,6 +77,8 @@ def next_measurement(document: Document) -> Iterator[str]:
         for row in document["candidates"][:CANDIDATES]
     ]
     yield from table(("one more image", "expected sigma", "now"), rows)
+    if left_out:
+        yield f"That is of the others: {chip_by_chip(left_out)}"
     yield ""
     yield document["next_measurement"]["stanza"]
 

@@ -204,7 +204,7 @@ def errors_of(image: MeasuredImage, irradiance_per_mm2: Real) -> tuple[float, fl
     measured, predicted = image.signal_dn[image.used], irradiance_per_mm2[image.used]
     gain, offset = line_of(predicted, measured, np.ones_like(measured))
     mse_dn2 = float(np.mean((measured - gain * predicted - offset) ** 2))
-    variance = image.variance_dn2(gain * irradiance_per_mm2 + offset)[image.used]
+    variance = image.noise_dn2(gain * irradiance_per_mm2 + offset)[image.used]
     gain, offset = line_of(predicted, measured, 1.0 / variance)
     chi2 = float(np.mean((measured - gain * predicted - offset) ** 2 / variance))
     return mse_dn2 / float(measured.max()) ** 2, mse_dn2, chi2

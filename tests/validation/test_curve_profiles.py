@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from tests.validation.test_fit_images import MODEL
-from validation.comparing import Comparison, Solver, compared
+from validation.comparing import Comparison, Solver, compared, curve_noise_shares
 from validation.curve_profiles import curve_profiles, curve_regions, fourier
 from validation.dataset.manifest import FarFieldShot, FilmLayer, FilmSample, Sample, SpectrumShot
 from validation.dataset.spectra import FarFieldTable, SpectrumTable
@@ -167,6 +167,6 @@ def test_a_noisy_prediction_of_a_far_field_is_not_trusted() -> None:
 
     observed = Observed((), tuple(curves_of([], [far_field(1)])), (), {})
     found = compared(MODEL, observed, Noisy(), Solver(None))  # type: ignore[arg-type]
-    assert found.curve_noise_shares["g"] == pytest.approx(0.5, rel=0.05)
+    assert curve_noise_shares(found.fit)["g"] == pytest.approx(0.5, rel=0.05)
     assert not found.document()["trusted"]
     assert "histories would do" in found.document()["reason"]

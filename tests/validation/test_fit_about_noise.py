@@ -21,6 +21,7 @@ from tests.validation.analytic import (
     two_images,
 )
 from validation.contrasts import structure
+from validation.diagnose.ground import Ground
 from validation.fit import (
     NOT_CONVERGED,
     Parameter,
@@ -283,6 +284,8 @@ def test_an_anchor_that_is_left_far_behind_is_doubted():
     (doubt,) = structure(far, draws=300).doubts
     assert "far from its anchor" in doubt
     assert not far.doubted([doubt]).trusted
+    assert Ground.of(near, 300, 1).fit.distrust == ()
+    assert Ground.of(far, 300, 1).fit.distrust == (doubt,)  # what compare doubts names no effect in diagnose
 
 
 def test_a_fit_that_monte_carlo_noise_dominates_is_not_trusted():

@@ -105,7 +105,7 @@ def structure(fit: Fit, draws: int = DRAWS, seed: int = 1, cache: Path | None = 
     layout, projection = fit_layout(fit), fit.basis
     variances = Variances.of(layout, projection)
     drawn = null(layout, projection, variances.weight, draws, seed, cache)
-    doubts = _doubts(families_moved(layout, projection, drawn, variances.weight, fit.carried))
+    doubts = doubts_of(fit, layout, variances, drawn)
     return replace(judged(fit.residual, layout, projection, variances, drawn), doubts=doubts)
 
 
@@ -163,8 +163,9 @@ def families_moved(layout: Layout, projection: Basis, drawn: Null, weight: Real,
     return {name: float(one / sd) for name, one, sd in zip(layout.families, moved, spread, strict=True) if sd > 0.0}
 
 
-def _doubts(moved: dict[str, float]) -> tuple[str, ...]:
-    """Why an error of the model that moves families so far is not to be trusted; nothing where it is small."""
+def doubts_of(fit: Fit, layout: Layout, variances: Variances, drawn: Null) -> tuple[str, ...]:
+    """Why a fit is not to be trusted that has gone far from its anchor; nothing where that moves no family far."""
+    moved = families_moved(layout, fit.basis, drawn, variances.weight, fit.carried)
     worst = max(moved, key=lambda name: moved[name], default=None)
     if worst is None or moved[worst] <= MOST_MOVED:
         return ()

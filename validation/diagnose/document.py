@@ -40,6 +40,7 @@ def document(found: Diagnosis, seed: int) -> dict[str, Any]:
         "scores_p": first.scores.p,
         "untestable": list(first.scores.untestable),
         "set": list(found.set),
+        "rivals": list(first.verdict.rivals) if found.verdict.names else [],
         "groups": [list(group) for group in first.confounding.groups if len(group) > 1],
         "confounding": {
             "names": [first.confounding.names[k] for k in first.confounding.order],
@@ -51,7 +52,7 @@ def document(found: Diagnosis, seed: int) -> dict[str, Any]:
         "added": [
             {"name": one.best.name, "size": one.best.size, "p_left": one.best.p_left, "share": one.best.share.value,
                 "share_error": finite(one.best.share.error), "leads_on": one.leads_to is not None,
-                "rivals": list(one.rivals),
+                "rivals": list(one.verdict.rivals),
                 "beside": None if one.beside is None else list(one.beside)}
             for one in found.steps if one.verdict.names
         ],

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from validation.contrasts.null import Null, Variances, null
-from validation.contrasts.structure import Structure, fit_layout, judged
+from validation.contrasts.structure import Structure, doubts_of, fit_layout, judged
 from validation.diagnose.explained import Loudest
 from validation.fit import Fit
 
@@ -31,6 +31,7 @@ class Ground:
         layout, projection = fit_layout(fit), fit.basis
         variances = Variances.of(layout, projection)
         drawn = null(layout, projection, variances.weight, draws, seed, cache)
+        fit = fit.doubted(doubts_of(fit, layout, variances, drawn))
         return cls(fit, judged(fit.residual, layout, projection, variances, drawn), drawn, variances)
 
     @property

@@ -1,7 +1,8 @@
 """The error in data that a fit has not seen: all shots of one sample are left out in turn, never random pixels.
 
     fold     the model's parameters from the other samples, on the linear model at the fit
-    there    gain, offset, place and turn of the left-out images are fitted in them, and what only their sample has
+    there    gain, offset, place and turn of the left-out images are fitted in them, and what only their sample has,
+             held by their priors
     error    rms of what is left, and the mean logarithm of the density with which the fold predicts a pixel
 
 Pixels of one image say the same twice, so a random split "improves" with every parameter. Noise common to several
@@ -72,9 +73,7 @@ def held_out(fit: Fit, folds: Sequence[tuple[str, Rows]]) -> HeldOut:
         change = _solved(fit, columns[:, kept], residual[kept], fit.active)
         known = shared & np.any(columns[:, kept] != 0.0, axis=1)
         there = residual[rows] - (change * known) @ columns[:, rows]
-        own = columns[:, rows][fit.active & ~known]
-        own = own[np.sum(own**2, axis=1) > 0.0]
-        left.append(there - own.T @ np.linalg.lstsq(own.T, there, rcond=None)[0] if len(own) else there)
+        left.append(there - _solved(fit, columns[:, rows], there, fit.active & ~known) @ columns[:, rows])
         order.append(rows)
     rows, after = np.concatenate(order), np.concatenate(left)
     told = rows < (fit.whitening.count or len(residual))
@@ -99,12 +98,6 @@ def change(before: HeldOut, after: HeldOut) -> Change:
     count = len(after.residual)
     difference = before.residual - after.residual
     return Change(after.density - before.density, float(np.linalg.norm(difference)) / count)
-
-
-def same_rows(one: Fit, other: Fit) -> bool:
-    """Whether two fits have the same pixels: a row's number means the same in both."""
-    pairs = zip(one.problem.images, other.problem.images, strict=True)
-    return all(np.array_equal(a.used, b.used) for a, b in pairs)
 
 
 def folds_by_sample(fit: Fit) -> list[tuple[str, Rows]]:
@@ -172,7 +165,7 @@ def _plain(fit: Fit) -> tuple[Real, Real, Real, float]:
     images = fit.problem.images
     weights, levels = [], []
     for image, signal in zip(images, fit.signals_dn, strict=True):
-        variance = image.variance_dn2(signal) + (image.prnu * signal) ** 2
+        variance = image.noise_dn2(signal)
         weights.append(np.where(image.used, 1.0 / np.sqrt(np.where(image.used, variance, 1.0)), 0.0))
         levels.append(float(np.mean(signal[image.used])))
     white = Whitening(

@@ -13,7 +13,6 @@ from luxloop.model import Model
 from luxloop.model_file import parse_toml
 from validation.diagnose.ground import Ground
 from validation.diagnose.held_out import folds_by_blocks, folds_of, held_out
-from validation.fit.model_noise import told_variance
 from validation.model_versions import Version
 from validation.sample_values import is_by_sample
 
@@ -44,13 +43,11 @@ class Rung:
         """Of a fit and its structure; `blocks`: halves of the images are left out, too."""
         fit = ground.fit
         squares, noise, level, count = 0.0, 0.0, 0.0, 0
-        of_model = told_variance(fit.whitening)
-        for image, signal in zip(fit.problem.images, fit.signals_dn, strict=True):
+        for image, signal, variance in zip(fit.problem.images, fit.signals_dn, fit.variances_dn2, strict=True):
             used = image.used
             squares += float(np.sum((image.signal_dn - signal)[used] ** 2))
-            variance = image.variance_dn2(signal)[used] + (image.prnu * signal[used]) ** 2
-            noise += float(np.sum(variance * (1.0 + of_model[count : count + len(variance)])))
-            level, count = level + float(np.sum(signal[used])), count + len(variance)
+            noise += float(np.sum(variance[used]))
+            level, count = level + float(np.sum(signal[used])), count + int(used.sum())
         if not count:  # spectra alone: of their mean value
             rows = fit.residual * np.concatenate([*fit.whitening.curve_sigma])
             squares, count = float(rows @ rows), len(rows)

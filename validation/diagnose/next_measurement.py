@@ -3,12 +3,13 @@
 Candidates are samples like those that were measured, at another distance, with other pairs, single or as an array,
 at four times the exposure, and a repeat. Of each the columns are predicted by the twin, its noise by the camera that
 took the others and by the Monte Carlo that they are compared with; `separation` says how many sigma would then lie
-between the rivals.
+between the rivals. A further image of a sample that was measured is that image with more frames: the pattern of the
+camera, the noise of Monte Carlo and what that sample has of its own stay as they are.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -27,9 +28,9 @@ from validation.effects.known import applied, nearly_off, off_values, with_effec
 from validation.effects.signatures import HISTORIES, RUNS, Sight
 from validation.fit import Fit
 from validation.fit.model_noise import NoiseBlock
-from validation.fit.problem import sensor_of, view_of
+from validation.fit.problem import Evaluation, sensor_of, view_of
 from validation.measured import MeasuredImage
-from validation.prediction import POSE_COLUMNS, Anchored, Pose, Predicted, Predictor, Sensor
+from validation.prediction import POSE_COLUMNS, Anchored, Pose, Predictor, Sensor
 from validation.prediction.differences import Moved
 from validation.sample_values import LEAD
 
@@ -73,12 +74,13 @@ class Rivals:
     """Names of effects that the twin cannot represent."""
 
     def proposals(self, heard: Callable[[float, str], None] = lambda *_: None) -> list[Proposal]:
-        """All candidates, the best first. Empty where no rival has a size of its own."""
+        """All candidates, the best first. Empty where not two of the rivals have a size."""
         paths = self._paths
-        usable = [one for one in self.refits if one.model is not None and not one.candidate.is_group]
+        usable = [one for one in self.refits if _has_size(one)]
         if len(usable) < 2 or not self.fit.problem.images:
             return []
-        here = self._here(usable)
+        changes = self._changes(usable)
+        here = self._on_measured(self.fit.problem.images, changes)
         prior_sd = np.array([p.prior_sd for p in self.fit.problem.unknowns.parameters if p.name in paths])
         now = _separation([here], prior_sd, usable)
         found = []
@@ -87,12 +89,15 @@ class Rivals:
         for number, (words, sample, exposure) in enumerate(candidates):
             heard(number / len(candidates), words)
             try:
-                there = self._there(sample, exposure, usable, paths)
+                if sample.id in measured:
+                    rows = [self._on_measured(self._with_more_of(sample, exposure), changes)]
+                else:
+                    rows = [here, self._there(sample, exposure, usable, paths)]
             except (InputError, RemoteError) as error:  # a sample that cannot be built is no proposal
                 if isinstance(error, RemoteError) and error.failure.code != "bad_input":
                     raise
                 continue
-            sigma = _separation([here, there], prior_sd, usable)
+            sigma = _separation(rows, prior_sd, usable)
             found.append(Proposal(words, sample, exposure, sigma, now, sample.id in measured))
         return sorted(found, key=lambda one: -one.expected_sigma)
 
@@ -101,18 +106,37 @@ class Rivals:
         """What a further image says more of: not what other samples have of their own."""
         return tuple(path for path in self.fit.problem.unknowns.model_paths if not path.startswith(LEAD))
 
-    def _here(self, usable: Sequence[Refitted]) -> Rows:
-        """The columns on the rows that were measured."""
+    def _changes(self, usable: Sequence[Refitted]) -> dict[str, list[Real]]:
+        """What each effect of its fitted size does to the images that were measured, in DN, by its name."""
         fit = self.fit
-        own = [name in self._paths for name in fit.names]
         sight = FitSight.of(fit, self.predictor, self.beyond_twin)
         gains = [fit.gains[one.shot.id] for one in fit.problem.images]
-        effects = {}
-        for one in usable:
-            images = [gain * part for gain, part in zip(gains, self._change(sight, one)[: len(gains)], strict=True)]
-            effects[one.candidate.effect.name] = fit.whitening.rows(images)
-        count = fit.whitening.count
-        return Rows(fit.columns[own][:, :count], fit.columns[np.logical_not(own)][:, :count], effects)
+        return {
+            one.candidate.effect.name: [
+                gain * part for gain, part in zip(gains, self._change(sight, one)[: len(gains)], strict=True)
+            ]
+            for one in usable
+        }
+
+    def _on_measured(self, images: Sequence[MeasuredImage], changes: Mapping[str, list[Real]]) -> Rows:
+        """The columns on the rows that were measured, by the noise of these images."""
+        at = replace(self._measured, problem=replace(self.fit.problem, images=tuple(images)))
+        white, own = at.whitening(), [name in self._paths for name in self.fit.names]
+        columns = at.columns(white)[:, : white.count]
+        effects = {name: white.rows(change) for name, change in changes.items()}
+        return Rows(columns[own], columns[np.logical_not(own)], effects)
+
+    def _with_more_of(self, sample: Sample, exposure: float) -> list[MeasuredImage]:
+        """The images; the first one of a sample is the mean with another of `exposure` times its light.
+
+        Its dark is the same.
+        """
+        images, more = list(self.fit.problem.images), 1.0 + exposure
+        at = next(number for number, one in enumerate(images) if one.sample.id == sample.id)
+        one = images[at]
+        constant_dn2 = (one.constant_dn2 - one.dark_dn2) / more + one.dark_dn2
+        images[at] = replace(one, constant_dn2=constant_dn2, slope_dn=one.slope_dn / more)
+        return images
 
     def _there(self, sample: Sample, exposure: float, usable: Sequence[Refitted], paths: Sequence[str]) -> Rows:
         """The columns that an image of a sample would have, with a peak as bright as those that were taken."""
@@ -147,9 +171,9 @@ class Rivals:
         )
 
     @cached_property
-    def _measured(self) -> list[Predicted]:
+    def _measured(self) -> Evaluation:
         """What the fit predicts of the images that were taken."""
-        return self.fit.problem.evaluate(self.fit.values).predicted
+        return self.fit.problem.evaluate(self.fit.values)
 
     def _noise(self, like: MeasuredImage, light_per_mm2: Real, weight: Real) -> NoiseBlock | None:
         """What Monte Carlo leaves in a further image: the same share of the light as in one that was taken.
@@ -157,7 +181,7 @@ class Rivals:
         `weight` (row, column): whitens by the camera's noise. None where there is no Monte Carlo.
         """
         at = next(number for number, one in enumerate(self.fit.problem.images) if one is like)
-        predicted = self._measured[at]
+        predicted = self._measured.predicted[at]
         if predicted.noise_per_mm2 is None:
             return None
         share = light_per_mm2.sum() / predicted.irradiance_per_mm2.sum()
@@ -174,6 +198,11 @@ class Rivals:
             off = with_effect(model, applied(effect, nearly_off(effect, values)))
         moved = [Moved(1.0, there), Moved(-1.0, off)]
         return sight.summed(moved, not effect.twin, lender=model, walks=effect.walks)
+
+
+def left_out_of(refits: Sequence[Refitted]) -> list[str]:
+    """Names of rivals with numbers of their own chip by chip: no size of them that a further image would show."""
+    return [one.candidate.effect.name for one in refits if not _has_size(one)]
 
 
 def candidates_of(samples: Sequence[Sample]) -> Iterator[tuple[str, Sample, float]]:
@@ -199,15 +228,27 @@ NO_IMAGE = "No further image of these samples would separate them: measure the c
 NO_FILM = "measure the films' thickness or index by another method, and fix them in the data set"
 
 
-def next_in_words(proposals: Sequence[Proposal], *, images: bool = True) -> str:
-    """The sentence that a verdict ends with; `images`: whether there are any, for no others are proposed."""
+def next_in_words(proposals: Sequence[Proposal], left_out: Sequence[str] = (), *, images: bool = True) -> str:
+    """The sentence that a verdict ends with.
+
+    `left_out`: rivals that the proposals are not about. `images`: whether there are any, for no others are proposed.
+    """
+    if not images:
+        return f"To separate them, {NO_FILM}."
     if not proposals:
-        return NO_IMAGE if images else f"To separate them, {NO_FILM}."
+        return f"Which image would separate them is not known: {chip_by_chip(left_out)}" if left_out else NO_IMAGE
     best = proposals[0]
     expected = f"expected separation {best.expected_sigma:.0f} sigma (now {best.now_sigma:.1f})"
     if best.expected_sigma < TOLD_APART:
         expected += f", less than the {TOLD_APART:.0f} that tell them apart: it takes more than that"
-    return f"Take one image: {best.words}: {expected}."
+    others = f" That is of the others: {chip_by_chip(left_out)}" if left_out else ""
+    return f"Take one image: {best.words}: {expected}.{others}"
+
+
+def chip_by_chip(names: Sequence[str]) -> str:
+    """Why rivals of these names are left out."""
+    has = "has a number of its own" if len(names) == 1 else "have numbers of their own"
+    return f"{', '.join(names)} {has} for each chip."
 
 
 def stanza(sample: Sample, is_there: bool, exposure_ratio: float = 1.0) -> str:
@@ -231,6 +272,10 @@ def _separation(rows: Sequence[Rows], prior_sd: Real, usable: Sequence[Refitted]
     """The least of what is left of the first effect beside each of the others."""
     first, *others = (one.candidate.effect.name for one in usable)
     return min(sigma_left(rows, prior_sd, first, [other]) for other in others)
+
+
+def _has_size(one: Refitted) -> bool:
+    return one.model is not None and not one.candidate.is_group
 
 
 def _at_size(model: Model, one: Refitted) -> Model:

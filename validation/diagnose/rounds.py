@@ -40,11 +40,6 @@ class Step:
         return next(one for one in self.explanations if one.name == self.verdict.set[0])
 
     @property
-    def rivals(self) -> tuple[str, ...]:
-        """Effects that explain as much as the best one, where the data cannot tell them apart."""
-        return self.verdict.set[1:] if self.verdict.word == "cannot_tell_apart" else ()
-
-    @property
     def kept(self) -> Refitted | None:
         """The refit of the effect that the verdict names first; None where it names none."""
         return next((one for one in self.refits if one.candidate.effect.name in self.verdict.set[:1]), None)
@@ -76,7 +71,7 @@ class Diagnosis:
         if not added or found is not first:
             return found
         named = [step for step in self.steps if step.verdict.names]
-        further = [further_in_words(step.best.name, step.best.size, step.rivals) for step in named[1:]]
+        further = [further_in_words(step.best.name, step.best.size, step.verdict.rivals) for step in named[1:]]
         rest = told_of_rest(first, self.steps[0].explanations, further, p_left)
         return replace(first, sentence=first.sentence + rest)
 

@@ -252,11 +252,13 @@ def _log_evidence(ground: Ground, found: Refitted, drop: float, columns: Real) -
         _, upper = limits_of(candidate.parameter)
         return group_log_evidence(columns @ ground.fit.residual_with_priors, columns @ columns.T, upper)
     tried = (candidate, *candidate.others)
-    covariance = np.array([[found.error**2]]) if found.fit is None else found.fit.covariance_of(found.paths)
+    fit, values, covariance = found.fit, np.array([found.value]), np.array([[found.error**2]])
+    if fit is not None:
+        values, covariance = np.array([fit.value(path) for path in found.paths]), fit.covariance_of(found.paths)
     known = np.diag(covariance)
     if not np.all((known > 0.0) & np.isfinite(known)):
         return None
-    return log_evidence(drop, covariance, [limits_of(one.parameter) for one in tried])
+    return log_evidence(drop, values, covariance, [limits_of(one.parameter) for one in tried])
 
 
 def _held_out(
@@ -264,7 +266,7 @@ def _held_out(
 ) -> tuple[held.Change | None, tuple[float, float] | None]:
     """The change of the density in data left out, and the rms errors; None where a held-out test is not possible."""
     fit = found.beside_base
-    if fit is None or not held.same_rows(base, fit):
+    if fit is None:
         return None, None
     folds = held.folds_of(base, effect.scope)
     if not folds:

@@ -55,6 +55,8 @@ class Verdict:
     sentence: str
     set: tuple[str, ...] = ()
     """Effects that explain within 10 % of the best."""
+    rivals: tuple[str, ...] = ()
+    """Of these, the ones that the data cannot tell from the best."""
 
     @property
     def names(self) -> bool:
@@ -118,7 +120,7 @@ def decided(
         also = [name for name in names if name not in told and name not in others_too]
         more = f" As much is explained by {', '.join(also)}, which they tell from {best.name}." if also else ""
         sentence = f"The data cannot tell apart {', '.join(told)}{_by_fits(best, rivals)}.{more} {next_image(told)}"
-        return Verdict("cannot_tell_apart", sentence, names)
+        return Verdict("cannot_tell_apart", sentence, names, tuple(told[1:]))
     held = "a held-out test is not possible with these data"
     if best.held_out_percent is not None:
         before, after = best.held_out_percent

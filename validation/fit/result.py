@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from luxloop.model import Model
 from validation.fit.least_squares import WORST_CONDITION, Basis, Reduced, Step, basis
-from validation.fit.model_noise import noise_share, noise_shares
+from validation.fit.model_noise import noise_share, noise_shares, told_columns, told_variance
 from validation.fit.parameters import gain_of, pose_of, tied
 from validation.fit.problem import Evaluation, Problem
 from validation.fit.whitening import Whitening, variance_scale
@@ -118,6 +118,21 @@ class Fit:
     def residual_images(self) -> list[Real]:
         """Whitened residual of each image, zero where unused."""
         return self.whitening.unfold(self.residual[: self.whitening.count])
+
+    @cached_property
+    def variances_dn2(self) -> list[Real]:
+        """Of the noise of each image (row, column): of camera, its pattern, and the prediction's Monte Carlo.
+
+        Unused pixels have none of the last.
+        """
+        told = self.whitening.unfold(told_variance(self.whitening))
+        images = zip(self.problem.images, self.signals_dn, told, strict=True)
+        return [image.noise_dn2(signal) * (1.0 + of_model) for image, signal, of_model in images]
+
+    def model_noise_dn(self, index: int) -> Real:
+        """(function, row, column) of an image: what tells the noise of its Monte Carlo, 0 where unused."""
+        image, signal = self.problem.images[index], self.signals_dn[index]
+        return told_columns(self.whitening, index) * np.sqrt(image.noise_dn2(signal))
 
     @property
     def residual_curves(self) -> list[Real]:

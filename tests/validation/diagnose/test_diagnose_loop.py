@@ -156,7 +156,10 @@ def test_what_a_diagnosis_told_apart_is_no_rival(tmp_path: Path) -> None:
     """`next` without names takes what could not be told apart; one effect may have others that explain as much."""
     file = tmp_path / "model.toml"
     file.write_text(to_toml(find_model("paper")), encoding="utf-8")
-    kept = {"sentence": "", "set": ["vignetting", "camera_psf"], "dataset_sha256": "0" * 64}
+    kept = {
+        "sentence": "", "set": ["vignetting", "distortion", "camera_psf"], "rivals": ["camera_psf"],
+        "dataset_sha256": "0" * 64,
+    }  # fmt: skip
     subject: Any = SimpleNamespace(file=str(file))
     for verdict in ("cannot_tell_apart", "one_effect"):
         keep(subject, kept | {"verdict": verdict, "model_sha256": find_model(str(file)).sha256})
@@ -173,6 +176,7 @@ def test_what_a_diagnosis_told_apart_is_no_rival(tmp_path: Path) -> None:
         (("diagnose",), "model.toml"),
         (("diagnose", "--model", "paper"), "luxloop compare DATASET comes first"),
         (("next",), "luxloop diagnose comes first"),
+        (("next", "vignetting", "vignetting"), "got 'vignetting', allowed: two effects or more, to be told apart"),
         (("remove", "vignetting", "--model", "paper"), "it has none"),
         (("ladder", "--model", "paper"), "a version that was fitted"),
         (("ladder", "--model", "nowhere.toml"), "got 'nowhere.toml', allowed: a model file"),

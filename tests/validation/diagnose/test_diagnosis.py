@@ -383,7 +383,7 @@ def test_two_effects_are_found_one_after_the_other() -> None:
     assert {one.name for one in found.added} == {"stripes", "fog"}
     assert "What it leaves is explained by" in found.verdict.sentence
     first, second = found.steps
-    either = replace(second.verdict, word="cannot_tell_apart", set=(second.best.name, "ripple"))
+    either = replace(second.verdict, word="cannot_tell_apart", rivals=("ripple",))
     for verdict, rivals in ((second.verdict, []), (either, ["ripple"])):
         whole = Diagnosis((first, replace(second, verdict=verdict)), found.known)
         said = json.loads(json.dumps(document(whole, 1)))

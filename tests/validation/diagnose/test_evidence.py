@@ -33,4 +33,24 @@ def test_the_evidence_of_two_numbers_counts_what_they_have_in_common() -> None:
     at = np.stack(np.meshgrid(grid, grid, indexing="ij"), axis=-1).reshape(-1, 2)
     off = np.sum((at - best) @ np.linalg.inv(covariance) * (at - best), axis=1)
     expected = float(logsumexp(0.5 * (drop - off)) - np.log(len(at)))
-    assert log_evidence(drop, covariance, [(-1.5, 1.5)] * 2) == pytest.approx(expected, abs=0.01)
+    assert log_evidence(drop, best, covariance, [(-1.5, 1.5)] * 2) == pytest.approx(expected, abs=0.01)
+
+
+def test_what_lies_beyond_the_range_is_no_evidence() -> None:
+    """A size that is not known at all says nothing, however wide its normal is: against sums over the range.
+
+    Of two numbers that are tied to each other, too.
+    """
+    for value, error in ((0.03, 33.0), (0.01, 0.05), (0.05, 0.005)):
+        drop = (value / error) ** 2
+        grid = (np.arange(20_000) + 0.5) / 200_000.0
+        expected = float(logsumexp(0.5 * (drop - ((grid - value) / error) ** 2)) - np.log(len(grid)))
+        found = log_evidence(drop, np.array([value]), np.array([[error**2]]), [(0.0, 0.1)])
+        assert found == pytest.approx(expected, abs=1e-4)
+        assert found <= 0.5 * drop
+    covariance = np.array([[0.5, 0.45], [0.45, 0.5]])
+    best, axis = np.array([0.8, 0.2]), (np.arange(400) + 0.5) / 400.0
+    at = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1).reshape(-1, 2)
+    off = np.sum((at - best) @ np.linalg.inv(covariance) * (at - best), axis=1)
+    expected = float(logsumexp(0.5 * (3.0 - off)) - np.log(len(at)))
+    assert log_evidence(3.0, best, covariance, [(0.0, 1.0)] * 2) == pytest.approx(expected, abs=0.005)

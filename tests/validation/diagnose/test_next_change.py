@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Sequence
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, Literal
 
@@ -19,10 +20,11 @@ from tests.validation.analytic import SINGLE as SINGLE_CHIP
 from tests.validation.diagnose.made_up import THIRD, Affected, data, spec
 from tests.validation.effects.test_signatures import AMPLITUDE, BASE, ONE, SIDE, SINGLE, Pretended, sight_of, spec_of
 from validation.dataset.manifest import Sample
-from validation.diagnose.next_measurement import Proposal, Rivals, next_in_words
+from validation.diagnose.next_measurement import Proposal, Rivals, left_out_of, next_in_words
 from validation.diagnose.refitted import Refitted
 from validation.diagnose.score import Candidate
 from validation.fit import fit
+from validation.measured import MeasuredImage
 from validation.prediction import Anchored, View
 
 
@@ -45,7 +47,7 @@ def test_the_noise_of_another_walk_is_no_change_that_an_effect_makes(walks: bool
 
 
 def test_what_is_expected_of_an_image_counts_the_noise_of_monte_carlo() -> None:
-    """A repeat of an image brings what that one brought, and noise along the rivals' difference hides it in both."""
+    """Noise along the rivals' difference hides it in what was measured and in what would be."""
     expected = {}
     for loud in (0.0, 1.0):
         noise = {one.id: loud * patterns(one) for one in (SINGLE_CHIP, ARRAY, THIRD)}
@@ -65,9 +67,28 @@ def test_what_is_expected_of_an_image_counts_the_noise_of_monte_carlo() -> None:
         assert hidden_now < 0.5 * now
 
 
-def rivals_about(predictor: Affected, free: Sequence[str] = PATHS) -> Rivals:
+@pytest.mark.parametrize("kind", ["quiet", "monte carlo", "pattern"])
+def test_a_repeat_takes_out_no_noise_but_the_cameras_own(kind: str) -> None:
+    """Twice the light, where there is no other noise; that of Monte Carlo and the camera's pattern it has again."""
+    noise = {one.id: patterns(one) for one in (SINGLE_CHIP, ARRAY, THIRD)} if kind == "monte carlo" else None
+    images = [replace(one, prnu=0.1 if kind == "pattern" else 0.0) for one in data("ripple", 1, 0.05)]
+    rivals = rivals_about(Affected(noise), images=images)
+    repeats = [one for one in rivals.proposals() if one.words.endswith("(a repeat)")]
+    more = rivals._on_measured(rivals._with_more_of(ARRAY, 1.0), rivals._changes(rivals.refits))
+    gained = [one.expected_sigma / one.now_sigma for one in repeats]
+    assert more.model.shape[1] == sum(int(one.used.sum()) for one in images)
+    assert gained
+    assert max(gained) > 1.2 if kind == "quiet" else max(gained) < 1.03
+
+
+def rivals_about(
+    predictor: Affected, free: Sequence[str] = PATHS, images: Sequence[MeasuredImage] | None = None
+) -> Rivals:
     """Two ripples that look alike, on three samples."""
-    base = fit(MODEL, data("ripple", 1, 0.05), predictor, free=free)
+    base = fit(
+        MODEL, data("ripple", 1, 0.05) if images is None else images, predictor, free=free,
+        anchor_at=lambda at: Anchored(at, 1000),
+    )  # fmt: skip
     refits = [
         Refitted(Candidate(one, one.parameters[0], (), np.zeros((1, 1))), 0.05, 0.01, base.residual, 0.0, False,
                  MODEL, base)
@@ -125,6 +146,20 @@ def test_a_proposal_that_will_not_do_says_so() -> None:
         " apart: it takes more than that.",
         "Take one image: array, D = 0.10 mm: expected separation 12 sigma (now 1.3).",
     ]
+
+
+def test_rivals_without_a_size_of_their_own_are_said_to_be_left_out() -> None:
+    """A group has a number for each chip: no image is proposed about it, and of the others that is said."""
+    rivals = rivals_about(Affected())
+    first, second = rivals.refits
+    group = replace(first, model=None)
+    assert left_out_of([group, second]) == ["ripple"]
+    assert replace(rivals, refits=[group, second]).proposals() == []
+    none = "Which image would separate them is not known: chips has a number of its own for each chip."
+    assert next_in_words([], ["chips"]) == none
+    one = Proposal("array, D = 0.10 mm", SINGLE_CHIP, 1.0, 12.0, 1.3)
+    told = next_in_words([one], ["chips", "places"])
+    assert told.endswith("That is of the others: chips, places have numbers of their own for each chip.")
 
 
 def patterns(sample: Sample) -> Any:

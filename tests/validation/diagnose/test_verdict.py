@@ -82,6 +82,7 @@ def test_of_the_reported_set_the_sentence_names_all() -> None:
     ]
     verdict = decided(tried, 32, lambda: "", lambda _: "Take one image.")
     assert verdict.set == ("lobe", "far", "walls")
+    assert verdict.rivals == ("far",)
     words = "cannot tell apart lobe, far. As much is explained by walls, which they tell from lobe. Take one image."
     assert verdict.sentence.endswith(words)
     beside = decided(tried, 32, lambda: "", lambda _: "Take one image.", beside=["walls"])
