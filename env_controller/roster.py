@@ -28,8 +28,8 @@ class Roster:
         self._workers: dict[str, Known] = {}
 
     def enter(self, describe: Describe, now_s: float) -> None:
-        """A worker said hello, perhaps again."""
-        self._workers[describe.worker] = Known(describe, heard_s=now_s)
+        """A worker said hello, perhaps again; its catalogue, which nobody asks us for, is left out."""
+        self._workers[describe.worker] = Known(describe.model_copy(update={"catalogue": {}}), heard_s=now_s)
 
     def strike(self, worker: str) -> None:
         """It has gone."""

@@ -205,7 +205,7 @@ class StatusAsked(Words):
 
 
 class WorkerStatus(Words):
-    """One worker as the controller sees it."""
+    """One worker as the controller sees it; what it can do, its catalogue, only itself says."""
 
     describe: Describe
     task_id: str = ""

@@ -331,6 +331,15 @@ class TestComingBack:
         assert desk.status().queued == {"film": 1}
 
 
+def test_a_large_set_can_be_asked_how_it_stands(desk: Desk) -> None:
+    """What its workers can do, 25 kB each, is left out: a status of a hundred of them is one frame."""
+    catalogue = {"effects": ["x" * 25_000]}
+    for number in range(100):
+        one = Describe(worker=f"w{number}", kind="film", version=__version__, host="h", pid=1, catalogue=catalogue)
+        desk.put("hello", Hello(describe=one))
+    assert len(desk.status().workers) == 100
+
+
 class TestHostile:
     """Whatever is put is answered once with a typed failure; the controller goes on."""
 
