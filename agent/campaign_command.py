@@ -30,7 +30,7 @@ from agent.options import (
     WalkError,
 )  # fmt: skip
 from agent.telling import tell
-from luxloop.errors import InputError
+from luxloop.errors import InputError, LuxloopError
 from luxloop.settings import Settings, load_settings
 from luxloop.words import parse
 
@@ -86,14 +86,26 @@ def quick_run(
     quiet: Quiet = False,
 ) -> None:
     """The main job for a newcomer: a short campaign on real worker processes, then its report."""
-    from agent.report_command import write_report
+    from agent.report_command import PAGE, view, write_report
 
     settings = load_settings(runs=runs)
+    try:
+        view(Path(PAGE))
+    except InputError as error:
+        mend = f"{error.mend}; without a report: luxloop campaign run --quick"
+        raise InputError("report", "no pictures", error.allowed, mend) from error
     campaign = _campaign(None, seed=seed, stop__evaluations=QUICK_EVALUATIONS, stop__time_s=QUICK_TIME_S)
     launched = _launched(settings, campaign, model, None, False, as_json or quiet)
     folder = Path(launched.ended.folder)
-    page = write_report(folder) if folder.is_dir() and not launched.interrupted else None
-    tell(launched, as_json, page)
+    page: Path | None = None
+    try:
+        page = write_report(folder) if folder.is_dir() and not launched.interrupted else None
+    except (LuxloopError, OSError) as error:
+        mend = f"luxloop campaign report {launched.run} --out FILE"
+        typer.echo(f"luxloop: no report was written: {error}; the run is whole: {mend}", err=True)
+        raise typer.Exit(1) from error
+    finally:
+        tell(launched, as_json, page)
 
 
 def grid(

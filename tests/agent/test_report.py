@@ -15,12 +15,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
-from agent import report_command
+from agent import campaign_command, report_command
+from agent.launch import Launched
+from agent.progress import Found, Progress
 from agent.report import document_of
 from agent.report_arrays import front_of, line_of
 from agent.report_numbers import difference
 from agent.report_under import Named, Winner, differences, questions, row_under
-from luxloop.campaign import Fidelity, Step
+from luxloop.campaign import Ended, Fidelity, Step
 from luxloop.client import Answer
 from luxloop.design import Design
 from luxloop.errors import InputError, RemoteError
@@ -331,6 +333,29 @@ def test_without_pictures_it_says_what_to_install(tmp_path: Path, monkeypatch: p
     monkeypatch.setattr(report_command, "entry_points", lambda **_: ())
     with pytest.raises(InputError, match="luxloop\\[viewer\\]"):
         report_command.view(tmp_path / "report.html")
+
+
+def test_without_pictures_a_quick_run_does_not_begin(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is said before minutes are spent, with a campaign that writes no report."""
+    monkeypatch.setattr(report_command, "entry_points", lambda **_: ())
+    monkeypatch.setattr(campaign_command, "_launched", lambda *_: pytest.fail("a campaign was begun"))
+    with pytest.raises(InputError, match="luxloop campaign run --quick"):
+        campaign_command.quick_run()
+
+
+def test_a_quick_run_tells_what_it_found_where_the_page_cannot_be_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One object on stdout; why there is no page, and how to get one, on stderr; exit 1."""
+    ended = Ended(run="one", folder=str(tmp_path), records=1, root="0" * 64)
+    launched = Launched("one", Found("enough", Progress(), (), None, None, None), ended, interrupted=False)
+    monkeypatch.setattr(campaign_command, "_launched", lambda *_: launched)
+    application = typer.Typer()
+    application.command()(campaign_command.quick_run)
+    result = CliRunner().invoke(application, ["--json"])
+    assert result.exit_code == 1
+    assert json.loads(result.stdout)["root"] == ended.root
+    assert "luxloop campaign report one --out FILE" in result.stderr
 
 
 def test_the_command_writes_the_page_beside_the_journal(
