@@ -187,7 +187,7 @@ class Dispatcher:
 
     def _submit(self, asked: Asked, submit: m.Submit) -> None:
         task, now = submit.task, time.monotonic()
-        finished = None if submit.fresh else self._results.get(task.id)
+        finished = self._kept(task.id, fresh=submit.fresh)
         if finished is not None:
             asked.answer(finished)
             return
@@ -212,10 +212,16 @@ class Dispatcher:
         )
         self._perform(self.core.handle(wish))
 
+    def _kept(self, task_id: str, *, fresh: bool) -> bytes | None:
+        """The outcome that is kept of a task; after a fresh wish nobody is given the old one any more."""
+        if fresh:
+            self._results.drop(task_id)
+        return self._results.get(task_id)
+
     def _want(self, want: Want) -> None:
         """A run wants a task: as a client does, but that its outcome goes to the environment-control agent."""
         task, now = want.task, time.monotonic()
-        finished = None if want.fresh else self._results.get(task.id)
+        finished = self._kept(task.id, fresh=want.fresh)
         if finished is not None:
             self._ended.append((task, finished))
             return

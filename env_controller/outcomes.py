@@ -57,21 +57,22 @@ class Results:
         """The kept outcome's frame; one that was kept for one asker only is given once."""
         frame = self._frames.get(task_id)
         if frame is not None and task_id in self._once:
-            self._drop(task_id)
+            self.drop(task_id)
         elif frame is not None:
             self._frames.move_to_end(task_id)
         return frame
 
     def put(self, task_id: str, frame: bytes, *, once: bool = False) -> None:
         """Keep an outcome's frame; with `once` for the next asker only."""
-        self._drop(task_id)
+        self.drop(task_id)
         self._frames[task_id] = frame
         self._bytes += len(frame)
         if once:
             self._once.add(task_id)
         while self._bytes > self._max_bytes and self._frames:
-            self._drop(next(iter(self._frames)))
+            self.drop(next(iter(self._frames)))
 
-    def _drop(self, task_id: str) -> None:
+    def drop(self, task_id: str) -> None:
+        """Keep it no longer."""
         self._bytes -= len(self._frames.pop(task_id, b""))
         self._once.discard(task_id)

@@ -169,6 +169,23 @@ def test_a_fresh_wish_is_computed_again(desk: Desk) -> None:
     assert isinstance(desk.pull().message, Lease)
 
 
+def test_while_it_is_computed_again_nobody_is_given_the_old_result(desk: Desk) -> None:
+    """Not who asks without `fresh`, nor a run: what the old one speaks of, a film's table, may have gone."""
+    desk.hello()
+    desk.submit()
+    desk.pull()
+    desk.done()
+    desk.pull()
+    desk.controller._want(Want("one", TASK, fresh=True))
+    plain = desk.submit()
+    desk.controller._want(Want("two", TASK))
+    assert plain.message is None
+    assert not desk.controller._ended
+    desk.done(result={"R": 0.6})
+    assert isinstance(plain.message, Outcome)
+    assert plain.message.result == {"R": 0.6}
+
+
 def test_holds_end_with_a_word(desk: Desk) -> None:
     """After the hold a submitter hears Pending, a worker Nothing; nobody is left to a time-out."""
     for worker in ("w1", "w2"):
