@@ -63,12 +63,12 @@ class Client:
         self._closing = Interrupt()
         self._stack = ExitStack()
         started = False
-        if not answering(settings, Identity.of(settings, "client")):
-            if not (local and is_loopback(settings.router)):
-                raise RemoteError(_nobody(settings))
-            settings, started = self._start_local(settings, ray_workers), True
-        self.settings = settings
         try:
+            if not answering(settings, Identity.of(settings, "client")):
+                if not (local and is_loopback(settings.router)):
+                    raise RemoteError(_nobody(settings))
+                settings, started = self._start_local(settings, ray_workers), True
+            self.settings = settings
             self._bus = self._stack.enter_context(ZenohBus(settings))
             self._fetch = fetcher(self._bus, settings.realm, BlobStore(settings.cache_dir / "blobs"))
             self.status(START_S if started else KEYS["status"].time_limit_s)
@@ -197,15 +197,10 @@ class Client:
         while not listening(settings.router):
             ended = process.poll() is not None
             if ended or time.monotonic() > end_s:
-                self.close()
                 how = "ended at once" if ended else f"did not start within {START_S:g} s"
-                raise RemoteError(
-                    Failure(
-                        code="no_router",
-                        message=f"the local set of processes {how}",
-                        mend="run `luxloop serve local` by hand to see why",
-                    )
-                )
+                mend = "run `luxloop serve local` by hand to see why"
+                message = f"the local set of processes {how}"
+                raise RemoteError(Failure(code="no_router", message=message, mend=mend))
             time.sleep(0.01)
         return settings
 
