@@ -35,10 +35,14 @@ class BlobStore:
             os.utime(path)
         except FileNotFoundError:
             path.parent.mkdir(parents=True, exist_ok=True)
-            handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=".new-")
-            with os.fdopen(handle, "wb") as file:
-                file.write(raw)
-            Path(temporary).replace(path)
+            handle, fresh = tempfile.mkstemp(dir=path.parent, prefix=".new-")
+            try:
+                with os.fdopen(handle, "wb") as file:
+                    file.write(raw)
+                Path(fresh).replace(path)
+            except BaseException:
+                Path(fresh).unlink(missing_ok=True)
+                raise
             self._written_bytes += len(raw)
             if self._written_bytes > self._max_bytes // 16:
                 self.prune()

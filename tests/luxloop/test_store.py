@@ -6,6 +6,7 @@ import hashlib
 import os
 import time
 from pathlib import Path
+from typing import IO, Any
 
 import pytest
 
@@ -99,6 +100,23 @@ def test_a_blob_that_is_being_written_is_left_alone(tmp_path: Path) -> None:
     store.prune()
     assert fresh.exists()
     assert not old.exists()
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no disk that is full")
+def test_of_a_blob_that_could_not_be_written_nothing_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a full disk took of it would be in the way of the next one for an hour."""
+    fdopen = os.fdopen
+
+    def on_a_full_disk(handle: int, mode: str) -> IO[Any]:
+        full = os.open("/dev/full", os.O_WRONLY)
+        os.dup2(full, handle)
+        os.close(full)
+        return fdopen(handle, mode)
+
+    monkeypatch.setattr(os, "fdopen", on_a_full_disk)
+    with pytest.raises(OSError, match="No space left"):
+        BlobStore(tmp_path).keep(bytes(1000))
+    assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
 
 
 @pytest.mark.parametrize("name", ["", "../../etc/passwd", "A" * 64, "0" * 63])
