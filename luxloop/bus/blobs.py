@@ -9,7 +9,7 @@ import numpy as np
 from luxloop.bus import Asked, Bus, ask_for
 from luxloop.bus.frame import ARRAY_BYTES, decode, encode
 from luxloop.bus.keys import KEYS, at
-from luxloop.errors import InputError, LuxloopError
+from luxloop.errors import InputError
 from luxloop.failure import Failure
 from luxloop.messages import BlobAsked, BlobPiece
 from luxloop.store import BlobStore
@@ -46,7 +46,10 @@ Source = Callable[[str, int, int], tuple[bytes, int] | None]
 
 
 def serve_piece(asked: Asked, source: Source, holder: str) -> None:
-    """Answer as `holder` a question for a piece, or drop it where the blob is not held: somebody else may have it."""
+    """Answer as `holder` a question for a piece, or drop it where the blob is not held: somebody else may have it.
+
+    A source that fails, on its disk or in its database, is a failure of this answer only.
+    """
     try:
         want = decode(asked.frame).expect(BlobAsked)
         found = source(asked.key.split("/")[-2], want.offset, want.length)
@@ -55,5 +58,5 @@ def serve_piece(asked: Asked, source: Source, holder: str) -> None:
             return
         piece, total = np.frombuffer(found[0], dtype="|u1"), found[1]
         asked.reply(encode(BlobPiece(holder=holder, offset=want.offset, total_bytes=total), {"piece": piece}))
-    except LuxloopError as error:
+    except Exception as error:  # noqa: BLE001  the asker is told, and its holder goes on
         asked.reply(Failure.of(error, asked.key))

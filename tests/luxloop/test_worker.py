@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import sqlite3
 import threading
 from dataclasses import replace
 
 import pytest
 
 from luxloop.bus import Asked, Inbox
+from luxloop.bus.frame import decode, encode
 from luxloop.bus.keys import KEYS, at
+from luxloop.failure import Failure
+from luxloop.messages import BlobAsked
 from luxloop.settings import Settings
 from luxloop.worker import Worker
 from tests.local_bus import LocalBus, LocalRouter
@@ -30,3 +34,25 @@ def test_a_held_poll_does_not_keep_a_worker_that_is_to_leave(
     worker._leaving.set()
     working.join(60.0)
     assert not working.is_alive()
+
+
+def test_a_store_that_cannot_be_read_does_not_end_its_worker(settings: Settings) -> None:
+    """Who asked for the blob is told; the worker goes on until it is to leave."""
+
+    class Locked(Sleepy):
+        def blob(self, sha256: str) -> bytes | None:
+            raise sqlite3.OperationalError(f"{sha256}: database is locked")
+
+    worker = Worker(Locked(), LocalBus(LocalRouter()), settings)
+    frames: list[bytes] = []
+
+    def answered(frame: bytes) -> None:
+        frames.append(frame)
+        worker._leaving.set()
+
+    key = at(settings.realm, "blob", sha256="0" * 64, worker=worker.name)
+    worker._inbox.offer(Asked(key, encode(BlobAsked()), answered, lambda: None))
+    worker._attend(threading.current_thread())
+    failure = decode(frames[0]).message
+    assert isinstance(failure, Failure)
+    assert "database is locked" in failure.message
