@@ -301,11 +301,13 @@ class Campaigns:
         return len(run.best) <= BEST_MAPS or heapq.heappop(run.best) < step.uniformity
 
     def _commit(self, run: OpenRun, records: list[Record], steps: list[Step]) -> None:
+        lanes = [run.lanes[step.lane] for step in steps]  # a lane's next action may come before `done`
+
         def done(error: LuxloopError | None) -> None:
             with self._lock:
                 run.error = run.error or error
-                for step in steps:
-                    self._answer(run.lanes[step.lane], error, step)
+                for lane, step in zip(lanes, steps, strict=True):
+                    self._answer(lane, error, step)
 
         run.unwritten.append(Unwritten(records, done, time.monotonic()))
         _write(run)

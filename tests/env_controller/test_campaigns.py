@@ -90,6 +90,27 @@ def test_a_step_is_told_only_once_it_is_on_the_disk(desk: Desk, monkeypatch: pyt
     assert isinstance(question.wait(), Step)
 
 
+def test_an_action_that_comes_before_the_disk_has_the_last_one_gets_its_own_step(
+    desk: Desk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each question is answered with the step of its number."""
+    desk.begin()
+    journal = desk.controller._campaigns._runs["one"].journal
+    put, held = journal.put, []
+    monkeypatch.setattr(journal, "put", lambda records, done: held.append((records, done)))
+    first = desk.act(0)
+    desk.work("film")
+    desk.work("ray")
+    second = desk.act(1, move=Move(variable="width_um", steps=1))
+    monkeypatch.undo()
+    for records, done in held:
+        put(records, done)
+    assert getattr(first.wait(), "number", None) == 0
+    assert second.message is None
+    desk.work("ray")
+    assert getattr(second.wait(), "number", None) == 1
+
+
 def test_an_action_asked_twice_is_one(desk: Desk) -> None:
     """The older question is let go; asked again later, the same step comes at once."""
     desk.begin()
