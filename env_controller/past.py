@@ -60,7 +60,7 @@ def ended_before(folder: Path, end: End) -> Ended | None:
             and journal.close == Close(end.reason, end.complete)
         ):
             return Ended(run=end.run, records=mark.records, root=mark.root, folder=str(folder.resolve()))
-    except (LuxloopError, OSError):
+    except (LuxloopError, OSError, ValueError):  # ValueError: a side file that holds no mark
         pass
     return None
 

@@ -19,7 +19,7 @@ from luxloop.errors import InputError
 from luxloop.journal.chain import Link, Mark
 from luxloop.journal.reader import left_over, number_of, segments_of
 from luxloop.journal.scan import Commit, Scan
-from luxloop.journal.segment import FORMAT, PATTERN, SIDE_FILE, being_written
+from luxloop.journal.segment import FORMAT, PATTERN, SIDE_FILE, being_written, read_side_file
 from luxloop.journal.topics import Record, RequestRecord
 from luxloop.messages import Task
 
@@ -269,15 +269,12 @@ def _steps(audit: Audit) -> None:
 
 def _side_file(folder: Path, audit: Audit) -> list[Expected]:
     """What the run's own side file says."""
-    path = folder / SIDE_FILE
     try:
-        root, _, records = path.read_text().strip().partition(" ")
-        return [Expected(SIDE_FILE, int(records), root)]
-    except FileNotFoundError:
-        return []
+        mark = read_side_file(folder)
     except (OSError, ValueError) as error:
         audit.say(SIDE_FILE, "broken", f"it cannot be read: {error}")
         return []
+    return [] if mark is None else [Expected(SIDE_FILE, mark.records, mark.root)]
 
 
 def _some(items: set[str] | list[int]) -> str:

@@ -315,6 +315,16 @@ def test_a_begin_whose_answer_was_lost_with_its_controller_is_answered_by_the_ne
     second.controller._campaigns.stop()
 
 
+@pytest.mark.parametrize("text", [b"what is this", b"f00 7\n", b"\xff"])
+def test_an_end_with_a_damaged_side_file_is_not_known(tmp_path: Path, text: bytes) -> None:
+    """Asked again at the next controller: not found, as where there is none."""
+    first = Desk(tmp_path)
+    first.begin()
+    first.end()
+    (tmp_path / "one" / "audit.sha256").write_bytes(text)
+    assert refusal(Desk(tmp_path).end()).code == "not_found"
+
+
 @pytest.mark.parametrize("committed", [False, True])
 def test_an_id_of_which_nothing_was_committed_is_free(tmp_path: Path, committed: bool) -> None:
     """A controller that died within its first write takes no id away; one that had committed does."""
