@@ -433,7 +433,8 @@ class Scheduler:
         leases = (self.leases.pop(task.task_id, None), self.hedges.pop(task.task_id, None))
         others = [lease for lease in leases if lease is not None and lease is not winner]
         self._take_out(task)
-        self.counts["done" if code == "done" else "failed"] += 1
+        if code != "cancelled":
+            self.counts["done" if code == "done" else "failed"] += 1
         self._tell(task, at_s, f"ended: {code}")
         self._stories[task.task_id] = task.story
         while len(self._stories) > STORIES:

@@ -259,9 +259,10 @@ def test_patience_begins_when_the_last_worker_goes(in_hand: bool) -> None:
 
 
 def test_withdrawing_stops_the_worker() -> None:
-    """A withdrawn task ends as cancelled, its worker is told, its result no longer counts."""
+    """A withdrawn task ends as cancelled, which is no failure; its worker is told, its result no longer counts."""
     story = Story().leased()
     assert story.core.handle(e.Withdrawn(1.0, A)) == [e.Stop("w1", A, 1), e.Finish(A, "cancelled")]
+    assert story.core.counts["failed"] == 0
     (receive,) = story.deliver()
     assert isinstance(receive, e.Receive)
     assert not receive.accepted
