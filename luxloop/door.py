@@ -124,7 +124,7 @@ class RunDoor:
                 if error is None:
                     self.end(self.reason)
                 else:
-                    self.end(_why_left(error), patience_s=0.0)
+                    self.end(printable(_why_left(error)), patience_s=0.0)
             except RemoteError:
                 if error is None:
                     raise

@@ -140,6 +140,14 @@ def test_left_by_an_error_nobody_is_waited_for(clock: Clock) -> None:
     assert clock.now_s < 1.0
 
 
+def test_left_by_an_error_whose_text_cannot_be_sent_it_is_that_error(clock: Clock) -> None:
+    """A file name may hold bytes that are no UTF-8: in the reason they are replaced."""
+    opened, client = door(Ended(run="one", records=1, root="0" * 64, folder="/runs/one"))
+    with pytest.raises(OSError, match="caf"), opened:
+        raise OSError("caf\udce9")
+    assert client.rows == ["end"]
+
+
 def test_left_quietly_the_run_is_ended_once() -> None:
     """The root is kept for whoever asks."""
     ended = Ended(run="one", records=3, root="0" * 64, folder="/runs/one")
