@@ -48,8 +48,10 @@ def re_derive(journal: RunJournal, say: Callable[[Compared], None], *, same_mach
         elif entry.topic == "/reply/ray":
             ledger = (entry.value.result or {}).get("ledger", {})
             received[entry.value.task_id] = ledger.get("receiver")
-        elif entry.value.failure is None and entry.value.feasible and not entry.value.cached:
+        elif entry.value.failure is None and entry.value.feasible:
             step = entry.value
+            if step.cached and step.task_id not in received:  # it left nothing, its figures are another step's
+                continue
             at = Place.of(say, entry.sequence, step)
             of_step = received.pop(step.task_id or "", None)
             if of_step is not None:

@@ -29,12 +29,13 @@ class Acted(Event):
 
 @dataclass(frozen=True)
 class Ended(Event):
-    """A task that was wanted has ended: with a result, or with why there is none."""
+    """A task that was wanted has ended: with a result, or with why there is none; `kept`: some time ago already."""
 
     task_id: str
     result: dict[str, Any] | None
     failure: Failure | None = None
     compute_s: float = 0.0
+    kept: bool = False
 
 
 @dataclass(frozen=True)

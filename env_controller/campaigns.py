@@ -196,13 +196,13 @@ class Campaigns:
             ended = self._close(end.run, Close(end.reason, end.complete))
         asked.reply(ended)
 
-    def ended(self, task: Task, frame: bytes) -> None:
-        """A task that was wanted here has ended; the runs that cannot take what came of it are closed."""
+    def ended(self, task: Task, frame: bytes, *, kept: bool = False) -> None:
+        """A task that was wanted here has ended, or had (`kept`); runs that cannot take its outcome are closed."""
         runs = self.agent.wanting(task.id)
         try:
             result = result_of(task, frame)
             outcome = result.outcome
-            event = a.Ended(time.monotonic(), task.id, outcome.result, outcome.failure, outcome.compute_s)
+            event = a.Ended(time.monotonic(), task.id, outcome.result, outcome.failure, outcome.compute_s, kept)
             self._perform(self.agent.handle(event), result)
         except Exception as error:
             log.exception("the runs %s could not take what came of the task %s", runs, task.id)
@@ -276,7 +276,7 @@ class Campaigns:
                     name, run = command.step.run, self._runs[command.step.run]
                     of_run = records.setdefault(name, [])
                     step = _with_cut(command.step, result)
-                    if result is not None and self._map_wanted(run, command.step):
+                    if result is not None and self._map_wanted(run, command.step, result.task.id):
                         of_run.append(map_record(result.arrays["map_lx"], run.sequence, time.time_ns()))
                     of_run.append(step_record(step, run.sequence, time.time_ns()))
                     agent = run.lanes[command.step.lane].action.agent
@@ -289,9 +289,9 @@ class Campaigns:
             self._commit(self._runs[name], of_run, steps.get(name, []))
 
     @staticmethod
-    def _map_wanted(run: OpenRun, step: Step) -> bool:
-        """Every step's where the plan says so; of a grid those of the best so far."""
-        if step.cached or step.failure is not None or not step.feasible:
+    def _map_wanted(run: OpenRun, step: Step, task_id: str) -> bool:
+        """Of the steps that come of this task, every one's where the plan says so; of a grid the best so far."""
+        if step.task_id != task_id or step.failure is not None or not step.feasible:
             return False
         if run.begin.plan.maps or step.final:
             return True

@@ -81,7 +81,7 @@ class Dispatcher:
         self._campaigns = Campaigns(
             settings.runs_dir, self._want, self._unwant, lives=self._lives, later=self._inbox.offer
         )
-        self._ended: deque[tuple[m.Task, bytes]] = deque()  # what runs wanted, not yet told to them
+        self._ended: deque[tuple[m.Task, bytes, bool]] = deque()  # what runs wanted, not yet told to them; if kept
         self._started_s = time.monotonic()
 
     def run(self, stop: threading.Event) -> None:
@@ -223,7 +223,7 @@ class Dispatcher:
         task, now = want.task, time.monotonic()
         finished = self._kept(task.id, fresh=want.fresh)
         if finished is not None:
-            self._ended.append((task, finished))
+            self._ended.append((task, finished, True))
             return
         wanted = self._wanted.setdefault(task.id, Wanted(task, c.LIMIT_S))
         wanted.limit_s, wanted.by_runs = max(wanted.limit_s, c.LIMIT_S), True
@@ -251,8 +251,8 @@ class Dispatcher:
     def _tell_runs(self) -> None:
         """Tell the runs what came of the tasks they wanted, which may make them want more."""
         while self._ended:
-            task, frame = self._ended.popleft()
-            self._campaigns.ended(task, frame)
+            task, frame, kept = self._ended.popleft()
+            self._campaigns.ended(task, frame, kept=kept)
 
     def _withdraw(self, asked: Asked, withdraw: m.Withdraw) -> None:
         """One asker takes back its wish; the task ends when nobody else has been heard to want it.
@@ -388,7 +388,7 @@ class Dispatcher:
         for waiting in wanted.waiting:
             waiting.asked.answer(frame)
         if wanted.by_runs:
-            self._ended.append((wanted.task, frame))
+            self._ended.append((wanted.task, frame, False))
         elif not wanted.waiting and finish.code not in ("done", "cancelled"):
             self._results.put(finish.task_id, frame, once=True)  # it ended between two questions of its asker
 

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -196,8 +197,11 @@ class EnvironmentAgent:
         ahead = self._ahead.pop(event.task_id, set())
         if any(trial.ray_task is None for trial in trials) or ahead:
             self._keep_film(event, trials, ahead)
+        counted: set[str] = set()
         for trial in trials:
-            commands += self._go_on(self.runs[trial.run], trial, event)
+            again = trial.run in counted  # one computation counts once in a run, with the first who waited
+            commands += self._go_on(self.runs[trial.run], trial, replace(event, kept=True) if again else event)
+            counted.add(trial.run)
         return commands
 
     def _keep_film(self, event: a.Ended, trials: list[Trial], ahead: set[tuple[str, float]]) -> None:
@@ -211,12 +215,12 @@ class EnvironmentAgent:
 
     def _go_on(self, run: Run, trial: Trial, event: a.Ended) -> list[Command]:
         """What follows for one action from a task's end."""
-        trial.physics_s += event.compute_s
+        trial.physics_s += 0.0 if event.kept else event.compute_s
         if trial.ray_task is None and event.failure is None:
             self._tell(trial, event.at_s, "has its film")
             return self._ray(run, trial, run.films[trial.design.dbr_pairs][1], event.at_s)
         if event.failure is None and event.result is not None:
-            trial.computed = True
+            trial.computed = not event.kept
             run.results[event.task_id] = figures_of(event.result["metrics"])
             while len(run.results) > KNOWN:
                 run.results.popitem(last=False)

@@ -218,10 +218,10 @@ class Step(Words):
     final: bool = False
     role: Role | None = Field(None, description="What a final evaluation is for.")
     cut: Cut | None = Field(None, description="Of a finalist.")
-    cached: bool = Field(False, description="Known before: no worker had to compute it.")
+    cached: bool = Field(False, description="Known before, or by another step: no worker had to compute it.")
     task_id: Sha256 | None = Field(None, description="Of the ray task.")
     film_task_id: Sha256 | None = None
-    physics_s: float = Field(0.0, ge=0.0, description="Computing time of the workers.")
+    physics_s: float = Field(0.0, ge=0.0, description="Computing time of the workers; once in a run.")
     controller_s: float = Field(0.0, ge=0.0, description="From the action to this step, waiting included.")
     failure: Failure | None = Field(None, description="Why it could not be evaluated; the figures then mean nothing.")
 

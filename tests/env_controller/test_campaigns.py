@@ -155,6 +155,20 @@ def test_an_end_asked_twice_is_one(desk: Desk) -> None:
     assert refusal(desk.end(designer="other")).code == "not_found"
 
 
+def test_what_the_controller_kept_of_an_earlier_run_costs_a_later_one_nothing(desk: Desk, tmp_path: Path) -> None:
+    """Known before: no computing time; what came of it is on record all the same, with its map."""
+    desk.begin(plan("one", maps=True))
+    first = desk.evaluated(run="one")
+    desk.begin(plan("two", maps=True))
+    second = desk.act(run="two").wait()
+    assert isinstance(second, Step)
+    assert (first.cached, first.physics_s) == (False, pytest.approx(0.2))
+    assert (second.cached, second.physics_s) == (True, 0.0)
+    assert second.content() == first.content()
+    desk.end("two")
+    assert {"/reply/film", "/reply/ray", "/map/sim"} <= {record.topic for record in written(tmp_path, "two")}
+
+
 def test_two_runs_at_once_have_their_own_journals(desk: Desk, tmp_path: Path) -> None:
     """One computation serves both; each has it on record."""
     desk.begin(plan("one"))

@@ -103,6 +103,21 @@ def test_an_action_becomes_a_film_then_rays_then_a_step() -> None:
     ]  # fmt: skip
 
 
+def test_what_is_computed_once_counts_once_in_a_run() -> None:
+    """A film that two lanes wait for, rays of one design; another run has it on its own account."""
+    story = Story(plan(), plan("two"))
+    film = wanted(story.act(0, design=DESIGN), "film")
+    story.act(1, design=DESIGN)
+    story.act(2, design=DESIGN.model_copy(update={"width_um": 40.0}))
+    story.act(0, run="two", design=DESIGN)
+    wants = [one for one in story.film(film) if isinstance(one, a.Want) and not one.ahead]
+    rays = {one.task.id: one for one in wants}
+    steps = [step for ray in rays.values() for step in told(story.ray(ray))]
+    assert [(step.run, step.lane, step.physics_s, step.cached) for step in steps] == [
+        ("one", 0, 0.75, False), ("one", 1, 0.0, True), ("two", 0, 0.75, False), ("one", 2, 0.5, False),
+    ]  # fmt: skip
+
+
 def test_films_of_neighbouring_pair_counts_are_wanted_ahead_once() -> None:
     """A half and a whole pair away, within the bounds; a step there needs no film of its own any more."""
     story = Story()
