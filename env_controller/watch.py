@@ -114,7 +114,9 @@ class Watch:
             except RemoteError as error:
                 found = BLAMED.get(error.failure.code)
             except LuxloopError:
-                break  # no certificate for a session of our own: what ends is started again, what hangs is not
+                if self._bus is None:
+                    break  # no certificate for a session of our own: what ends is started again, what hangs is not
+                found = None  # an answer that cannot be read: the one who gave it does not hang
             if found is not None and not self._closing.is_set():
                 for pid, why in silences.note(found, self._servers(), self._workers(), time.monotonic()).items():
                     self._kill(pid, why)

@@ -6,6 +6,8 @@ import os
 import signal
 import threading
 from collections.abc import Iterator, Sequence
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -15,6 +17,8 @@ from env_controller.watch import MISSES, SERVER_HUNG_S, WORKER_HUNG_S, Server, S
 from luxloop import __version__
 from luxloop.client import Client
 from luxloop.endpoint import listening
+from luxloop.errors import InputError, RemoteError
+from luxloop.failure import Failure
 from luxloop.messages import Describe, Status, WorkerStatus
 from luxloop.settings import Settings
 from tests.conftest import stop, wait_for
@@ -76,6 +80,33 @@ def test_a_worker_without_a_heartbeat_is_given_up() -> None:
     """It is listed as long as its token stands; what counts is what was heard."""
     seen = [status(3, 4), *[status(3, heard_s_ago=WORKER_HUNG_S + 1.0)] * 13]
     assert [sorted(one) for one in hung(seen)][-1] == [3, 4]
+
+
+@pytest.mark.parametrize("certificate", [True, False])
+def test_an_answer_that_cannot_be_read_does_not_end_the_watch(
+    settings: Settings, monkeypatch: pytest.MonkeyPatch, certificate: bool
+) -> None:
+    """The next question may be answered well; without a certificate there is no session, and none is asked."""
+    asked = threading.Event()
+    answers = iter([InputError("frame", b"", "a frame")])
+
+    def ask(*_: Any, **__: Any) -> Any:
+        for error in answers:
+            raise error
+        asked.set()
+        raise RemoteError(Failure(code="refused", message="enough"))
+
+    def opened(_: Settings) -> Any:
+        if not certificate:
+            raise InputError("LUXLOOP_CERTS", "", "a folder with certificates")
+        return SimpleNamespace(close=lambda: None)
+
+    monkeypatch.setattr(watch, "ASK_EVERY_S", 0.01)
+    monkeypatch.setattr(watch, "ask_for", ask)
+    monkeypatch.setattr(watch, "ZenohBus", opened)
+    looking = watch.Watch(settings, dict, tuple, lambda *_: pytest.fail("somebody was killed"))
+    assert asked.wait(10.0 if certificate else 0.2) == certificate
+    looking.close()
 
 
 @pytest.fixture
