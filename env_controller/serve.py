@@ -75,7 +75,7 @@ def local(
 
 
 def stop_event() -> threading.Event:
-    """An event that SIGTERM, SIGINT, and the death of a parent that was to be outlived set."""
+    """An event that SIGTERM, SIGINT, and the death of the process that this one is to end with set."""
     stop = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stop.set())

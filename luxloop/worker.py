@@ -69,7 +69,7 @@ class Worker:
         self._error: LuxloopError | None = None
 
     def run(self) -> None:
-        """Work until SIGTERM or SIGINT, or until the parent that was to be outlived has gone."""
+        """Work until SIGTERM or SIGINT, or until the process that it is to end with has gone."""
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, lambda *_: self._leaving.set())
         self._bus.subscribe(self._key("cancel"), self._inbox)

@@ -1,4 +1,4 @@
-"""The one table of keys: which message travels where, who answers, whether it is journalled, how long it may take.
+"""The one table of keys: which message travels where, who answers, how long it may take.
 
 All keys lie under `<realm>/<schema>/`; the realm separates two sets on one router.
 """
@@ -28,26 +28,25 @@ class Key:
     reply: type[Words] | None
     answered_by: Role
     time_limit_s: float
-    journalled: bool
     asked_by: Role = "client"  # or told by; the router lets nobody else (access.py)
 
 
 KEYS: dict[str, Key] = {
-    "submit": Key("submit/{kind}", m.Submit, m.Outcome, "controller", HOLD_S + 5.0, True),
-    "withdraw": Key("withdraw", m.Withdraw, m.Receipt, "controller", SHORT_S, True),
-    "status": Key("status", m.StatusAsked, m.Status, "controller", SHORT_S, False),
-    "hello": Key("hello/{kind}", m.Hello, m.Welcome, "controller", SHORT_S, True, "worker"),
-    "pull": Key("pull/{kind}", m.Pull, m.Lease, "controller", HOLD_S + 5.0, True, "worker"),
-    "done": Key("done/{kind}", m.Done, m.Receipt, "controller", SHORT_S, True, "worker"),
-    "heartbeat": Key("heartbeat/{kind}/{worker}", m.Heartbeat, None, "controller", SHORT_S, False, "worker"),
-    "cancel": Key("cancel/{kind}/{worker}", m.Cancel, None, "worker", SHORT_S, False, "controller"),
-    "blob": Key("blob/{sha256}/{worker}", m.BlobAsked, m.BlobPiece, "anybody", SHORT_S, False, "anybody"),
-    "begin": Key("begin", c.Begin, c.Begun, "controller", HOLD_S + 5.0, True),
-    "act": Key("act/{name}", c.Action, c.Step, "controller", HOLD_S + 5.0, True),
-    "note": Key("note/{name}", c.Note, m.Receipt, "controller", SHORT_S, True),
-    "end": Key("end/{name}", c.End, c.Ended, "controller", 2.0 * SHORT_S, True),
-    "replay": Key("replay/{name}", m.Replayed, None, "client", SHORT_S, False),
-    "alive": Key("alive/{role}/{kind}/{name}", m.Nothing, None, "anybody", SHORT_S, False, "anybody"),
+    "submit": Key("submit/{kind}", m.Submit, m.Outcome, "controller", HOLD_S + 5.0),
+    "withdraw": Key("withdraw", m.Withdraw, m.Receipt, "controller", SHORT_S),
+    "status": Key("status", m.StatusAsked, m.Status, "controller", SHORT_S),
+    "hello": Key("hello/{kind}", m.Hello, m.Welcome, "controller", SHORT_S, "worker"),
+    "pull": Key("pull/{kind}", m.Pull, m.Lease, "controller", HOLD_S + 5.0, "worker"),
+    "done": Key("done/{kind}", m.Done, m.Receipt, "controller", SHORT_S, "worker"),
+    "heartbeat": Key("heartbeat/{kind}/{worker}", m.Heartbeat, None, "controller", SHORT_S, "worker"),
+    "cancel": Key("cancel/{kind}/{worker}", m.Cancel, None, "worker", SHORT_S, "controller"),
+    "blob": Key("blob/{sha256}/{worker}", m.BlobAsked, m.BlobPiece, "anybody", SHORT_S, "anybody"),
+    "begin": Key("begin", c.Begin, c.Begun, "controller", HOLD_S + 5.0),
+    "act": Key("act/{name}", c.Action, c.Step, "controller", HOLD_S + 5.0),
+    "note": Key("note/{name}", c.Note, m.Receipt, "controller", SHORT_S),
+    "end": Key("end/{name}", c.End, c.Ended, "controller", 2.0 * SHORT_S),
+    "replay": Key("replay/{name}", m.Replayed, None, "client", SHORT_S),
+    "alive": Key("alive/{role}/{kind}/{name}", m.Nothing, None, "anybody", SHORT_S, "anybody"),
 }
 
 
