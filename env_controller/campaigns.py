@@ -88,6 +88,7 @@ class OpenRun:
     on_record: int = 0  # steps that its journal held when it was opened
     best: list[float] = field(default_factory=list)  # heap of a grid's best uniformities
     error: LuxloopError | None = None
+    notes: set[int | None] = field(default_factory=set)  # numbers of those that were put
     unwritten: deque[Unwritten] = field(default_factory=deque)
     """In the order in which they are to be put; nothing goes past them."""
 
@@ -172,14 +173,16 @@ class Campaigns:
             self._hold(lane, asked, now_s)
 
     def note(self, asked: Asked, note: Note) -> None:
-        """Put on record what a designer wants there; answered once it is on the disk."""
+        """Put on record what a designer wants there, once; answered when it is on the disk."""
         run = self._open(note.run, note.designer)
         _catch_up(run)
 
         def done(error: LuxloopError | None) -> None:
             asked.reply(_failure(error) if error else Receipt(accepted=True))
 
-        run.journal.put(note_records(note, run.sequence, time.time_ns()), done)
+        again = note.number is not None and note.number in run.notes
+        run.journal.put([] if again else note_records(note, run.sequence, time.time_ns()), done)
+        run.notes.add(note.number)
 
     def end(self, asked: Asked, end: End) -> None:
         """Finish a run's journal; records and root go back, once more to who asks again.

@@ -233,10 +233,14 @@ class Step(Words):
 
 
 class Note(Words):
-    """Something a designer wants to have on record; answered once it is on disk."""
+    """Something a designer wants to have on record; answered once it is on disk.
+
+    The same number again, after an answer that was lost, is the same note.
+    """
 
     run: RunId
     designer: Name
+    number: Number | None = Field(None, description="Counts a designer's notes; none: each is another one.")
     agent: AgentRecord | None = None
     result: Plain | None = Field(None, description="What was found, at the end of a run.")
     validation: Plain | None = Field(None, description="A `ValidationStep`: model and data compared.")

@@ -245,9 +245,5 @@ def _answer_or_failure(future: Future[Answer]) -> Answer | RemoteError:
 
 
 def _nobody(settings: Settings) -> Failure:
-    return Failure(
-        code="no_router",
-        message=f"no router at {settings.router}",
-        mend="start one there, or set LUXLOOP_ROUTER to where it is",
-        where=f"pid {os.getpid()}",
-    )
+    message, mend = f"no router at {settings.router}", "start one there, or set LUXLOOP_ROUTER to where it is"
+    return Failure(code="no_router", message=message, mend=mend, where=f"pid {os.getpid()}")

@@ -12,6 +12,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Mapping
+from itertools import count
 from types import TracebackType
 from typing import Any
 from uuid import uuid4
@@ -42,6 +43,7 @@ class RunDoor:
         """Opens the run. Raises RemoteError refused where that cannot be; see `begin`."""
         self._client, self._begin = client, begin
         self.run, self.designer = begin.plan.run, begin.designer
+        self._numbers = count()
         self.ended: Ended | None = None
         self.reason = "left early"
         self.on_lost: Callable[[float], None] = lambda _: None
@@ -104,7 +106,8 @@ class RunDoor:
 
     def note(self, **what: Any) -> None:
         """Put something on record, a field of `Note` each; returns once it is on the controller's disk."""
-        self._asked("note", Note(run=self.run, designer=self.designer, **what)).expect(Receipt)
+        note = Note(run=self.run, designer=self.designer, number=next(self._numbers), **what)
+        self._asked("note", note).expect(Receipt)
 
     def end(self, reason: str, patience_s: float = LOST_S, *, complete: bool = False) -> Ended:
         """Finish the journal; records and root, which should leave the machine. `complete`: nothing is left to do."""

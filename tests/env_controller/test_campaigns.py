@@ -76,6 +76,17 @@ def test_a_comparison_with_measurements_is_on_record_with_its_residuals(desk: De
     assert b"array-5.5" in records["/map/residual"].data
 
 
+def test_a_note_asked_twice_is_on_record_once(desk: Desk, tmp_path: Path) -> None:
+    """Its answer was lost; another number is another note, also of the same text; so is each without one."""
+    desk.begin()
+    for number in (0, 0, 1, None, None):
+        note = Note(run="one", designer="d", number=number, log="the walk ended")
+        assert desk.put("note", note, name="one").wait() == Receipt(accepted=True)
+    desk.end()
+    lines = [record.value.message for record in written(tmp_path) if record.topic == "/log"]
+    assert lines.count("the walk ended") == 4
+
+
 def test_a_step_is_told_only_once_it_is_on_the_disk(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
     """While the journal still writes, the question stays open."""
     desk.begin()

@@ -9,12 +9,13 @@ import pytest
 from luxloop import door as doors
 from luxloop.bus.frame import Parcel
 from luxloop.bus.keys import at
-from luxloop.campaign import Action, Begin, Begun, Ended, Step
+from luxloop.campaign import Action, Begin, Begun, Ended, Note, Step
 from luxloop.design import Design
 from luxloop.door import RunDoor
 from luxloop.errors import RemoteError
 from luxloop.failure import Failure
-from luxloop.messages import Nothing
+from luxloop.messages import Nothing, Receipt
+from luxloop.words import Words
 from tests.campaign_runs import plan_of
 
 DESIGN = Design.from_vector((180.0, 28.0, 500.0, 35.0, 6.5))
@@ -30,10 +31,11 @@ class Client:
     """Answers in turn with what it is given: words, a failure or its code; the last one for ever."""
 
     def __init__(self, *answers: Any) -> None:
-        self.answers, self.rows = list(answers), list[str]()
+        self.answers, self.rows, self.messages = list(answers), list[str](), list[Words]()
 
-    def ask(self, row: str, *_: Any) -> Parcel:
+    def ask(self, row: str, message: Words, *_: Any) -> Parcel:
         self.rows.append(row)
+        self.messages.append(message)
         answer = self.answers.pop(0) if len(self.answers) > 1 else self.answers[0]
         if isinstance(answer, Failure):
             raise RemoteError(answer)
@@ -146,6 +148,14 @@ def test_left_by_an_error_whose_text_cannot_be_sent_it_is_that_error(clock: Cloc
     with pytest.raises(OSError, match="caf"), opened:
         raise OSError("caf\udce9")
     assert client.rows == ["end"]
+
+
+def test_a_note_has_one_number_however_often_it_is_asked(clock: Clock) -> None:
+    """The controller knows it again when its answer was lost; the next note has another number."""
+    opened, client = door("timed_out", Receipt(accepted=True))
+    opened.note(log="one")
+    opened.note(log="two")
+    assert [note.number for note in client.messages if isinstance(note, Note)] == [0, 0, 1]
 
 
 def test_left_quietly_the_run_is_ended_once() -> None:
