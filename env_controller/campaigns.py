@@ -148,7 +148,8 @@ class Campaigns:
     def _opened(self, begin: Begin, past: Past) -> OpenRun:
         name, now_s = begin.plan.run, time.monotonic()
         facts, attachments = opening(begin)
-        journal = Journal(self._folder / name, {"run": facts, "environment": machine()}, attachments)
+        about = {"run": facts, "environment": machine()}
+        journal = Journal(self._folder / name, about, attachments, mark=past.mark)
         best = heapq.nlargest(BEST_MAPS, (step.uniformity for step in past.steps.values()))[::-1]
         run = OpenRun(begin, journal, now_s, sequence=past.sequence, on_record=len(past.steps), best=best)
         self._runs[name] = run

@@ -6,6 +6,7 @@ import json
 import logging
 import threading
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 from env_controller.audit.checks import GIVEN, verify
@@ -15,8 +16,8 @@ from luxloop.bus import Asked
 from luxloop.campaign import Begin, End, Ended, Plan, Step
 from luxloop.errors import LuxloopError, RemoteError
 from luxloop.failure import Failure
-from luxloop.journal.chain import Mark
-from luxloop.journal.reader import RunJournal, segments_of, tail_of
+from luxloop.journal.reader import RunJournal, segments_of
+from luxloop.journal.scan import Scan
 from luxloop.journal.segment import read_side_file
 from luxloop.journal.topics import Close
 from luxloop.ray import Film
@@ -32,19 +33,26 @@ def read_back(folder: Path, begin: Begin) -> Past:
     another designer, is of another plan or release, or is not what was written.
     """
     try:
-        journal = RunJournal(folder)
+        journal, ends = RunJournal(folder), end_of(folder)
         _refuse_another(journal, begin)
-        broken = [finding for finding in verify(folder, begin.root, None).findings if finding.verdict == "broken"]
+        audit = verify(folder, begin.root, None)
+        broken = [finding for finding in audit.findings if finding.verdict == "broken"]
         if [finding.what for finding in broken] == [GIVEN]:
             mend = "name the folder that this controller writes to (LUXLOOP_RUNS), or put yours in its place"
             raise _refused(f"the journal in {folder} is not the one that is to be gone on with", mend)
         if broken:
             raise _refused(f"{broken[0].what}: {broken[0].found}", f"luxloop audit recover {folder} --replace")
-        return past_of(journal, begin.plan)
+        return replace(past_of(journal, begin.plan), mark=audit.mark, ends=ends)
     except RemoteError:
         raise
     except (LuxloopError, OSError) as error:
         raise _refused(str(error), f"luxloop audit verify {folder}") from error
+
+
+def end_of(folder: Path) -> tuple[str, int] | None:
+    """Name and size of a run's last segment, None where there is none: nobody has written while they are the same."""
+    paths = segments_of(folder)
+    return (paths[-1].name, paths[-1].stat().st_size) if paths else None
 
 
 def ended_before(folder: Path, end: End) -> Ended | None:
@@ -78,10 +86,15 @@ class Reader:
         self._lock = threading.Lock()
 
     def past(self, asked: Asked, begin: Begin) -> Past | None:
-        """The past of the run to go on with; None while it is being read. Raises what `read_back` does."""
+        """The past of the run to go on with; None while it is being read. Raises what `read_back` does.
+
+        Where somebody has written since it was read, it is read again.
+        """
         asker = begin.plan.run, begin.designer
         with self._lock:
             found = self._pasts.pop(asker, None)
+            if isinstance(found, Past) and found.ends != end_of(self._folder / begin.plan.run):
+                found = None
             if found is None:
                 askers = self._askers.setdefault(asker, [])
                 askers.append(asked)
@@ -121,7 +134,8 @@ def was_begun(folder: Path, begin: Begin) -> bool:
 def never_begun(folder: Path) -> bool:
     """Whether a controller died before it had committed anything of the run."""
     try:
-        return bool(segments_of(folder)) and tail_of(folder) == Mark()
+        paths = segments_of(folder)
+        return bool(paths) and not any(next(iter(Scan(path)), None) for path in paths)
     except (LuxloopError, OSError):
         return False
 

@@ -10,6 +10,7 @@ from typing import Any
 from luxloop.campaign import Action, Plan, Step
 from luxloop.design import Design
 from luxloop.film import FilmTableRequest, Spectrum
+from luxloop.journal.chain import Mark
 from luxloop.messages import Task
 from luxloop.ray import Film, RayRequest
 
@@ -50,11 +51,16 @@ class Trial:
 
 @dataclass(frozen=True)
 class Past:
-    """What is on record of a run: steps by (lane, number), films by pairs, the next step's place in its sequence."""
+    """What is on record of a run: steps by (lane, number), films by pairs, the next step's place in its sequence.
+
+    `mark` is how far the chain had come when the journal was verified, `ends` how its last segment ended then.
+    """
 
     steps: dict[tuple[int, int], Step] = field(default_factory=dict)
     films: dict[float, tuple[Task, Film]] = field(default_factory=dict)
     sequence: int = 0
+    mark: Mark | None = None
+    ends: tuple[str, int] | None = None
 
     @property
     def results(self) -> Iterator[tuple[str, dict[str, Any]]]:

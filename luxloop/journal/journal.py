@@ -43,8 +43,12 @@ class Journal:
         metadata: Mapping[str, Mapping[str, str]],
         attachments: Mapping[str, bytes],
         queue_bytes: int = QUEUE_BYTES,
+        mark: Mark | None = None,
     ) -> None:
         """Makes the folder where it is not there, and commits metadata and attachments.
+
+        `mark` is how far the chain has come, where that is known: else the last segment is read for it, a second for
+        some thousands of steps.
 
         Raises RemoteError where the folder cannot be written, another process writes this run's journal, or what
         lies there is no journal of ours.
@@ -59,15 +63,14 @@ class Journal:
                 raise _failure(f"{folder}: its journal is being written by another process", "end that one first")
             self.number = number_of(before[-1]) + 1 if before else 1
             path = folder / f"audit-{self.number:04}.mcap"
-            self._segment = Segment(path, tail_of(folder), metadata, attachments)
+            self._segment = Segment(path, mark or tail_of(folder), metadata, attachments)
         except OSError as error:
             with suppress(OSError):  # an empty folder would look like a run
                 folder.rmdir()
             raise _not_written(folder, error) from error
         self._waiting: list[tuple[Sequence[Record], Done]] = []
         self._waiting_bytes = 0
-        self._changed = threading.Condition()
-        self._closing = False
+        self._changed, self._closing = threading.Condition(), False
         self._error: RemoteError | None = None
         self._thread = threading.Thread(target=self._write_all, name="journal", daemon=True)
         self._thread.start()

@@ -11,13 +11,15 @@ import numpy as np
 import pytest
 
 from env_controller import campaigns
+from env_controller.audit.checks import verify
 from luxloop.bus import Asked, Presence
 from luxloop.bus.frame import decode, encode
 from luxloop.bus.keys import HOLD_S, at
 from luxloop.campaign import Action, AgentRecord, Begin, Begun, Ended, Move, Note, Step
 from luxloop.errors import RemoteError
 from luxloop.failure import Failure
-from luxloop.journal.topics import ValidationStep
+from luxloop.journal.journal import Journal
+from luxloop.journal.topics import ValidationStep, opening
 from luxloop.messages import Nothing, Receipt
 from luxloop.words import Words
 from tests.env_controller.desk import DESIGN, WAIT_S, Desk, plan, refusal, written
@@ -338,6 +340,48 @@ def test_a_begin_whose_answer_was_lost_with_its_controller_is_answered_by_the_ne
     assert isinstance(begun, Begun)
     assert (begun.segment, begun.steps) == (2, 0)
     second.controller._campaigns.stop()
+
+
+@pytest.mark.parametrize("written_since", [False, True])
+def test_a_run_goes_on_from_where_its_journal_was_verified(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, written_since: bool
+) -> None:
+    """In the controller's thread nothing is read; where somebody has written since then, it is verified once more."""
+    first = Desk(tmp_path)
+    first.begin()
+    first.evaluated()
+    first.controller._campaigns.stop()
+    second = Desk(tmp_path)
+    question = second.put("begin", Begin(plan=plan(), designer="e", resume=True))
+    event = second.controller._inbox.take(WAIT_S)
+    assert event is not None
+    if written_since:
+        facts, files = opening(Begin(plan=plan(), designer="x"))
+        journal = Journal(tmp_path / "one", {"run": facts, "environment": {}}, files)
+        journal.finish()
+        journal.close()
+    monkeypatch.setattr("luxloop.journal.journal.tail_of", lambda _: pytest.fail("its last segment was read"))
+    second.controller.take(event)
+    if written_since:
+        assert question.message is None
+        event = second.controller._inbox.take(WAIT_S)
+        assert event is not None
+        second.controller.take(event)
+    begun = question.wait()
+    assert isinstance(begun, Begun)
+    assert begun.segment == 2 + written_since
+    second.evaluated(1, designer="e", move=Move(variable="width_um", steps=1))
+    second.end(designer="e")
+    assert {finding.verdict for finding in verify(tmp_path / "one", None, None).findings} == {"ok"}
+
+
+def test_a_taken_id_is_refused_without_reading_its_steps(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first commit says that there is a run."""
+    desk.begin()
+    desk.evaluated()
+    desk.end()
+    monkeypatch.setattr("luxloop.journal.reader.Scan", lambda _: pytest.fail("its journal was read"))
+    assert "exists" in refusal(desk.begin(designer="e")).message
 
 
 @pytest.mark.parametrize("text", [b"what is this", b"f00 7\n", b"\xff"])
