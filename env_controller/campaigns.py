@@ -219,6 +219,7 @@ class Campaigns:
 
         One that is silent and lives computes, or waits for a worker: a fit with Monte Carlo says nothing for minutes.
         """
+        self._reader.tick(now_s)
         for name, run in list(self._runs.items()):
             _write(run)
             if run.unwritten and now_s - run.unwritten[0].since_s > FULL_S:

@@ -5,14 +5,17 @@ from __future__ import annotations
 import json
 import logging
 import threading
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 from env_controller.audit.checks import GIVEN, verify
 from env_controller.trials import Past, film_task
 from luxloop import __version__
 from luxloop.bus import Asked
+from luxloop.bus.keys import HOLD_S
 from luxloop.campaign import Begin, End, Ended, Plan, Step
 from luxloop.errors import LuxloopError, RemoteError
 from luxloop.failure import Failure
@@ -20,10 +23,27 @@ from luxloop.journal.reader import RunJournal, segments_of
 from luxloop.journal.scan import Scan
 from luxloop.journal.segment import read_side_file
 from luxloop.journal.topics import Close
+from luxloop.messages import Nothing
 from luxloop.ray import Film
 from luxloop.words import canonical
 
 log = logging.getLogger(__name__)
+
+KEPT_S = 120.0  # who has not come back for so long for what was read has gone
+
+
+class Held(NamedTuple):
+    """A question that waits for a journal to be read: until when."""
+
+    until_s: float
+    asked: Asked
+
+
+class Read(NamedTuple):
+    """What came of reading a journal back, and when."""
+
+    at_s: float
+    found: Past | LuxloopError
 
 
 def read_back(folder: Path, begin: Begin) -> Past:
@@ -74,15 +94,16 @@ def ended_before(folder: Path, end: End) -> Ended | None:
 
 
 class Reader:
-    """Reads journals back, each in a thread of its own: a long one takes seconds.
+    """Reads journals back, each in a thread of its own: a long one takes a minute and more.
 
-    Who asks meanwhile is put off: `later` puts the question once more when the journal was read.
+    Who asks meanwhile is put off: `later` puts the question once more when the journal was read; where its hold is
+    over before, it is answered `Nothing`, and its asker comes back.
     """
 
     def __init__(self, folder: Path, later: Callable[[Asked], object]) -> None:
         self._folder, self._later = folder, later
-        self._askers: dict[tuple[str, str], list[Asked]] = {}  # by run and designer
-        self._pasts: dict[tuple[str, str], Past | LuxloopError] = {}
+        self._askers: dict[tuple[str, str], list[Held]] = {}  # of what is being read, by run and designer
+        self._pasts: dict[tuple[str, str], Read] = {}
         self._lock = threading.Lock()
 
     def past(self, asked: Asked, begin: Begin) -> Past | None:
@@ -92,18 +113,29 @@ class Reader:
         """
         asker = begin.plan.run, begin.designer
         with self._lock:
-            found = self._pasts.pop(asker, None)
+            found = self._pasts.pop(asker).found if asker in self._pasts else None
             if isinstance(found, Past) and found.ends != end_of(self._folder / begin.plan.run):
                 found = None
             if found is None:
-                askers = self._askers.setdefault(asker, [])
-                askers.append(asked)
-                if len(askers) == 1:
+                if asker not in self._askers:
+                    self._askers[asker] = []
                     threading.Thread(target=self._read, args=(asker, begin), name="past", daemon=True).start()
+                self._askers[asker].append(Held(time.monotonic() + HOLD_S, asked))
                 return None
         if isinstance(found, LuxloopError):
             raise found
         return found
+
+    def tick(self, now_s: float) -> None:
+        """Let go of questions whose hold is over, and of what was read for designers that do not come back."""
+        with self._lock:
+            for asker, askers in self._askers.items():
+                for held in askers:
+                    if now_s > held.until_s:
+                        held.asked.reply(Nothing())
+                self._askers[asker] = [held for held in askers if now_s <= held.until_s]
+            for asker in [asker for asker, read in self._pasts.items() if now_s - read.at_s > KEPT_S]:
+                del self._pasts[asker]
 
     def _read(self, asker: tuple[str, str], begin: Begin) -> None:
         found: Past | LuxloopError
@@ -115,10 +147,10 @@ class Reader:
             log.exception("the journal of %s could not be read back", begin.plan.run)
             found = RemoteError(Failure.of(error, "controller"))
         with self._lock:
-            self._pasts[asker] = found
+            self._pasts[asker] = Read(time.monotonic(), found)
             askers = self._askers.pop(asker)
-        for asked in askers:
-            self._later(asked)
+        for held in askers:
+            self._later(held.asked)
 
 
 def was_begun(folder: Path, begin: Begin) -> bool:

@@ -94,7 +94,7 @@ class Plan(Words):
 
 
 class Begin(Words):
-    """A designer opens a run; answered by `Begun`, or a Failure where the id is taken.
+    """A designer opens a run; answered by `Begun`, `Nothing` while its journal is read, or why it cannot be opened.
 
     A run has one designer at a time: one that was taken over from, while it was not heard of, is refused.
     """

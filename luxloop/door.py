@@ -48,7 +48,7 @@ class RunDoor:
         self.reason = "left early"
         self.on_lost: Callable[[float], None] = lambda _: None
         """Told for how long nothing was heard from the controller, now and then."""
-        self.begun = _asked(client, "begin", begin, {}).expect(Begun)
+        self.begun = self._opened(begin)
 
     @classmethod
     def begin(
@@ -89,10 +89,16 @@ class RunDoor:
                 self._open_again()
         raise RemoteError(self._gone("the controller opens it and loses it again"))
 
+    def _opened(self, begin: Begin) -> Begun:
+        """The run, once it is open. Asks again while its journal is read back."""
+        while isinstance((parcel := _asked(self._client, "begin", begin, {})).message, Nothing):
+            pass
+        return parcel.expect(Begun)
+
     def _open_again(self) -> None:
         again = self._begin.model_copy(update={"resume": True, "root": None})
         try:
-            self.begun = _asked(self._client, "begin", again, {}).expect(Begun)
+            self.begun = self._opened(again)
         except RemoteError as error:
             raise RemoteError(self._gone(error.failure.message)) from error
 

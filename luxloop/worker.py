@@ -284,8 +284,5 @@ def _refuse_nan(arrays: Mapping[str, Array]) -> None:
 
 
 def _other_version(version: str) -> Failure:
-    return Failure(
-        code="version",
-        message=f"the task is of release {version}, this worker of {__version__}",
-        mend="run the same release of luxloop on all sides",
-    )
+    message = f"the task is of release {version}, this worker of {__version__}"
+    return Failure(code="version", message=message, mend="run the same release of luxloop on all sides")

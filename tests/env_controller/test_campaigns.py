@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from env_controller import campaigns
+from env_controller import campaigns, past
 from env_controller.audit.checks import verify
+from env_controller.trials import Past
 from luxloop.bus import Asked, Presence
 from luxloop.bus.frame import decode, encode
 from luxloop.bus.keys import HOLD_S, at
@@ -373,6 +374,34 @@ def test_a_run_goes_on_from_where_its_journal_was_verified(
     second.evaluated(1, designer="e", move=Move(variable="width_um", steps=1))
     second.end(designer="e")
     assert {finding.verdict for finding in verify(tmp_path / "one", None, None).findings} == {"ok"}
+
+
+def test_who_asks_for_a_run_whose_journal_takes_long_to_read_comes_back(
+    desk: Desk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Answered within the hold; the journal is read once; what nobody comes back for is not kept."""
+    desk.begin()
+    desk.end()
+    read, reads = threading.Event(), list[str]()
+
+    def slow(folder: Path, begin: Begin) -> Past:
+        reads.append(begin.designer)
+        assert read.wait(WAIT_S)
+        raise RemoteError(Failure(code="refused", message="read"))
+
+    monkeypatch.setattr(past, "read_back", slow)
+    reader = desk.controller._campaigns._reader
+    first = desk.put("begin", Begin(plan=plan(), designer="d", resume=True))
+    desk.controller._campaigns.tick(time.monotonic() + HOLD_S + 1.0)
+    assert first.message == Nothing()
+    second = desk.put("begin", Begin(plan=plan(), designer="d", resume=True))
+    read.set()
+    event = desk.controller._inbox.take(WAIT_S)
+    assert event is not None
+    assert len(reader._pasts) == 1
+    desk.controller._campaigns.tick(time.monotonic() + past.KEPT_S + 1.0)
+    assert not reader._pasts
+    assert (second.message, reads) == (None, ["d"])
 
 
 def test_a_taken_id_is_refused_without_reading_its_steps(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:

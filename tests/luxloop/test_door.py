@@ -77,6 +77,13 @@ def test_a_question_is_asked_again_while_it_takes() -> None:
     assert client.rows == ["act"] * 3
 
 
+def test_a_run_whose_journal_takes_long_to_read_is_asked_for_until_it_is_open() -> None:
+    """Longer than one that is away would be waited for."""
+    client = Client(*[Nothing()] * 100, BEGUN)
+    assert RunDoor(client, Begin(plan=plan_of("one"), designer="d", resume=True)).begun == BEGUN  # type: ignore[arg-type]  # it has what is asked
+    assert client.rows == ["begin"] * 101
+
+
 @pytest.mark.parametrize("code", ["no_router", "no_controller", "timed_out", "busy"])
 def test_who_is_away_for_a_moment_is_waited_for(code: str, clock: Clock) -> None:
     """Told how long, and then the step is there."""
