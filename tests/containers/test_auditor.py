@@ -12,7 +12,8 @@ from luxloop.audit import Compared
 from luxloop.campaign import Cut, Step
 from luxloop.journal.journal import Journal
 from luxloop.journal.reader import RunJournal
-from luxloop.journal.topics import map_record, step_record
+from luxloop.journal.topics import map_record, reply_record, step_record
+from luxloop.messages import Outcome
 from tests.journals import METADATA, START_NS, a_step, put
 
 GOLDEN = Path(__file__).parents[1] / "golden" / "runs"
@@ -26,7 +27,9 @@ def field(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return 1e5 * (1.0 + ripple + 0.1 * np.cos(2 * np.pi * y)[:, None])
 
 
-def a_run(folder: Path, off: float = 0.0, map_lx: np.ndarray | None = None, **changes: object) -> dict[str, Compared]:
+def a_run(
+    folder: Path, off: float = 0.0, map_lx: np.ndarray | None = None, kept: str = "", **changes: object
+) -> dict[str, Compared]:
     """What is compared of a run of one final step whose figures are those of `field`, the uniformity by `off` not."""
     x = np.linspace(-0.5, 0.5, 401)
     line = field(x, np.zeros(1))[0]
@@ -41,9 +44,11 @@ def a_run(folder: Path, off: float = 0.0, map_lx: np.ndarray | None = None, **ch
     cut = Cut(x_um=tuple(x), illuminance_lx=tuple(line), illuminance_error_lx=tuple(0.0 * x))
     step = a_step(0, told["value"], **{"figures": figures, "final": True, "role": "best", "cut": cut} | changes)
     journal = Journal(folder, METADATA, {})
+    replies = [reply_record("ray", Outcome(task_id=kept, result={}), {}, 0, START_NS)] if kept else []
     put(
         journal,
         [
+            *replies,
             map_record(field(CENTRES, CENTRES) if map_lx is None else map_lx, 0, START_NS),
             step_record(step, 0, START_NS),
         ],
@@ -109,6 +114,12 @@ def test_what_was_known_or_could_not_be_built_left_no_arrays(tmp_path: Path) -> 
     """Nothing is said of it."""
     assert a_run(tmp_path / "a", cached=True) == {}
     assert a_run(tmp_path / "b", feasible=False, reason="chips overlap") == {}
+
+
+def test_what_the_controller_had_kept_is_compared(tmp_path: Path) -> None:
+    """No worker had to compute it; its reply and its arrays are on record."""
+    found = a_run(tmp_path / "r", kept="a" * 64, task_id="a" * 64, cached=True)
+    assert {"uniformity, cut", "uniformity, map"} <= set(found)
 
 
 @pytest.mark.parametrize("name", ["paper-mc", "fast-twin"])
