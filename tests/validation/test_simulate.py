@@ -352,3 +352,12 @@ def test_a_folder_with_something_in_it_is_left_alone(run: Run, tmp_path: Path) -
     ]  # fmt: skip
     assert [one.exception.field for one in failures] == ["OUT", "peak_share", "camera: prnu_percent"]  # type: ignore[union-attr]
     assert bytes_of(tmp_path) == {"notes.txt": b"mine"}
+
+
+def test_the_plans_that_the_docs_name_are_there() -> None:
+    """One small camera: three single chips of the diagnosis' example, the paper's six samples of the blind test."""
+    root = Path(__file__).parents[2]
+    three, six = (read_plan(root / name) for name in ("examples/three-chips.toml", "docs/blind/plan.toml"))
+    assert [one.id for one in three.samples] == ["bare", "few-pairs", "many-pairs"]
+    assert six.samples == paper_plan().samples
+    assert three.camera == six.camera
