@@ -235,7 +235,7 @@ class Step(Words):
 class Note(Words):
     """Something a designer wants to have on record; answered once it is on disk.
 
-    The same number again, after an answer that was lost, is the same note.
+    The same number again, after an answer that was lost, is the same note, as long as the controller lives.
     """
 
     run: RunId

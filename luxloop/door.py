@@ -90,9 +90,11 @@ class RunDoor:
         raise RemoteError(self._gone("the controller opens it and loses it again"))
 
     def _opened(self, begin: Begin) -> Begun:
-        """The run, once it is open. Asks again while its journal is read back."""
+        """The run, once it is open. Asks again while its journal is read back, for an hour."""
+        end_s = time.monotonic() + 60.0 * LOST_S
         while isinstance((parcel := _asked(self._client, "begin", begin, {})).message, Nothing):
-            pass
+            if time.monotonic() > end_s:
+                break
         return parcel.expect(Begun)
 
     def _open_again(self) -> None:

@@ -167,7 +167,7 @@ class Comparison:
         image, model_dn = self.fit.problem.images[number], np.asarray(self.fit.signals_dn[number])
         shot, used = image.shot.id, image.used
         measured, fitted = image.signal_dn[used], model_dn[used]
-        level, variance = float(np.mean(fitted)), self.fit.variances_dn2[number][used]
+        level, variance = float(np.mean(fitted)), self.fit.variance_dn2(number)[used]
         predicted = (model_dn - self.fit.offsets_dn[shot]) / self.fit.gains[shot]
         mse, mse_dn2, _ = errors_of(image, predicted)
         pose = self.fit.poses[shot]

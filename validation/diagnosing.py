@@ -16,6 +16,7 @@ from luxloop.errors import InputError, RemoteError
 from luxloop.model import Model
 from validation.comparing import Solver, noisy_curves
 from validation.contrasts.structure import DRAWS
+from validation.diagnose.anew import about_itself, has_monte_carlo
 from validation.diagnose.by_sample import is_by_sample, with_members_free, with_own_values
 from validation.diagnose.columns import FitSight, candidates_of
 from validation.diagnose.diagnosis import Means, diagnosed
@@ -96,8 +97,12 @@ class Diagnosing:
         return with_members_free(found, specs, self._apart).doubted(noisy_curves(found, self.solver))
 
     def ground(self, found: Fit) -> Ground:
-        """The structure that a fit leaves, and its null."""
-        return Ground.of(found, DRAWS, self.solver.seed, self.cache)
+        """The structure that a fit leaves, and its null; of one that is too far from its anchor, about a new one."""
+        ground = Ground.of(found, DRAWS, self.solver.seed, self.cache)
+        if ground.fit.distrust == found.distrust or not has_monte_carlo(found.problem):
+            return ground
+        again = about_itself(found)
+        return Ground.of(again.doubted(noisy_curves(again, self.solver)), DRAWS, self.solver.seed, self.cache)
 
     @cached_property
     def effects(self) -> list[EffectSpec]:

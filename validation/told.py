@@ -134,10 +134,10 @@ def calibration(document: Document) -> Iterator[str]:
         yield f"not fitted, for the chosen surface has none within its limits: {', '.join(fit['left_out'])}"
     yield ""
     before, after = document["errors"]
-    heads = ("shot", "rms error before", "after", "noise")
-    names = ("rms_error_percent", "rms_error_percent", "noise_percent")
+    heads = ("shot", "rms error before", "noise", "after", "noise")
+    names = ("rms_error_percent", "noise_percent")
     rows = [
-        (shot, *(f"{one[name][shot]:.2f} %" for one, name in zip((before, after, after), names, strict=True)))
+        (shot, *(f"{one[name][shot]:.2f} %" for one in (before, after) for name in names))
         for shot in after["rms_error_percent"]
     ]
     yield from table(heads, rows)

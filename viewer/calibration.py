@@ -188,12 +188,13 @@ def _errors(document: Document) -> Iterator[str]:
     )
     pictures = {"error of each shot before and after": figures.error_picture(errors)}
     yield html.row(pictures, "two", caption, document["command"])
-    after, before = errors["after"], errors.get("before", {"rms_error_percent": {}})
+    nothing: Document = {"rms_error_percent": {}, "noise_percent": {}}
+    both = errors.get("before", nothing), errors["after"]
     rows = [
-        (name, number(before["rms_error_percent"].get(name)), number(value), number(after["noise_percent"].get(name)))
-        for name, value in after["rms_error_percent"].items()
+        (name, *(number(one[what].get(name)) for one in both for what in ("rms_error_percent", "noise_percent")))
+        for name in errors["after"]["rms_error_percent"]
     ]
-    yield html.table(("shot", "before, %", "after, %", "noise, %"), rows)
+    yield html.table(("shot", "before, %", "noise, %", "after, %", "noise, %"), rows)
 
 
 def _with_error(one: Document | None) -> str:

@@ -120,9 +120,8 @@ def metrics_document(metrics: Metrics) -> Document:
 def far_fields(found: Solved, *, fold: bool) -> tuple[Document, Arrays]:
     """Far field of a chip (whole sphere) and of the module (upper half), in 1/sr per flux of one chip.
 
-    The chip's is the light that leaves chips and has not yet been at the receiver, what enters a chip again and leaves
-    it anew each time; the module's is the light that comes to the receiver for the first time. `fold`: the scene has
-    the symmetries of a square.
+    The chip's is the light that leaves chips and has not yet been at the receiver, as often as it does; the module's
+    is the light that comes to the receiver for the first time. `fold`: the scene has the symmetries of a square.
     """
     tally = found.tally
     if tally is None:

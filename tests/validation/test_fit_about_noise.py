@@ -20,8 +20,10 @@ from tests.validation.analytic import (
     spots,
     two_images,
 )
+from validation.comparing import Solver
 from validation.contrasts import structure
 from validation.diagnose.ground import Ground
+from validation.diagnosing import Diagnosing
 from validation.fit import (
     NOT_CONVERGED,
     Parameter,
@@ -36,6 +38,7 @@ from validation.fit.model_noise import noise_shares
 from validation.fit.parameters import Unknowns
 from validation.fit.result import MOST_MODEL_NOISE, WANTED_NOISE
 from validation.noise import histories_for
+from validation.observed import Observed
 from validation.prediction import Anchored, Pose, View
 
 
@@ -286,6 +289,24 @@ def test_an_anchor_that_is_left_far_behind_is_doubted():
     assert not far.doubted([doubt]).trusted
     assert Ground.of(near, 300, 1).fit.distrust == ()
     assert Ground.of(far, 300, 1).fit.distrust == (doubt,)  # what compare doubts names no effect in diagnose
+    engine = Diagnosing(MODEL, Observed(tuple(two_images()), (), (), {}), Spots(error=0.5), None, Solver(1000), ())
+    renewed = engine.ground(far).fit  # about Monte Carlo where it ended
+    assert renewed.distrust == ()
+    assert renewed.problem.anchor.model == far.model
+
+
+@pytest.mark.parametrize("prnu", [0.0, 0.05])
+def test_the_noise_of_monte_carlo_is_told_as_it_is(prnu):
+    """Beside that of camera and pattern, whether the pattern ties the images or not."""
+    noise = {SINGLE.id: _waves(SINGLE, 0.002), ARRAY.id: _waves(ARRAY, 0.001)}
+    images = [replace(one, prnu=prnu) for one in two_images()]
+    found = fit(MODEL, images, Spots(noise), anchor_at=lambda model: Anchored(model, 1000))
+    for number, image in enumerate(images):
+        functions = found.gains[image.shot.id] * noise[image.sample.id]
+        signal = found.signals_dn[number]
+        expected = image.variance_dn2(signal) + (prnu * signal) ** 2 + np.sum(functions**2, axis=0)
+        np.testing.assert_allclose(found.variance_dn2(number)[image.used], expected[image.used], rtol=1e-9)
+        np.testing.assert_allclose(found.model_noise_dn(number), functions * image.used, rtol=1e-9)
 
 
 def test_a_fit_that_monte_carlo_noise_dominates_is_not_trusted():

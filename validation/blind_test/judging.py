@@ -28,7 +28,7 @@ from validation.blind_test.folders import SCHEMA, SETS, Entry, Index, model_of, 
 from validation.blind_test.records import maps_path, record_path
 from validation.blind_test.seals import seal_on
 from validation.comparing import Solver
-from validation.contrasts.structure import judged
+from validation.contrasts.structure import doubts_of, judged
 from validation.dataset.folder import read_dataset
 from validation.diagnose.anew import thawed
 from validation.diagnose.arrays import arrays_of
@@ -39,7 +39,8 @@ from validation.diagnose.rounds import Diagnosis
 from validation.diagnose.score import Candidate
 from validation.diagnosing import Diagnosing
 from validation.effects.known import Known
-from validation.fit import Fit, refitted
+from validation.fit import Fit
+from validation.fit.descent import unclipped
 from validation.fit.parameters import free_paths
 from validation.fit.problem import Problem
 from validation.observed import Observed
@@ -87,7 +88,7 @@ class SharedDiagnosing(Diagnosing):
         first = self.shared.ground
         if first is not None and first.fit.trusted:
             self.shared.frozen = self.shared.frozen or frozen_at(first.fit.problem, first.fit.values)
-            found = refitted(replace(self.shared.frozen, images=self.observed.images), first.fit.values)
+            found = unclipped(replace(self.shared.frozen, images=self.observed.images), first.fit.values)
             return thawed(found, first.fit.problem)
         found = super().fitted(model)
         self.shared.anchor = self.shared.anchor or found.problem.anchor
@@ -110,7 +111,10 @@ class SharedDiagnosing(Diagnosing):
         first = self.shared.ground
         if first is None or len(first.fit.residual) != len(found.residual):
             self.shared.ground = super().ground(found)
+            self.shared.anchor = self.shared.ground.fit.problem.anchor
             return self.shared.ground
+        if doubts_of(found, first.null.layout, first.variances, first.null):
+            return super().ground(found)
         structure = judged(found.residual, first.null.layout, found.basis, first.variances, first.null)
         return replace(first, fit=found, structure=structure)
 

@@ -142,6 +142,13 @@ def about_its_own(problem: Problem, found: Fit, beside: float = np.inf) -> Fit:
     return thawed(found, problem)
 
 
+def about_itself(found: Fit) -> Fit:
+    """The fit from where it ended, about Monte Carlo there. ValueError where it is about none."""
+    if found.problem.anchor is None:
+        raise ValueError("a fit without an anchor is about no Monte Carlo")
+    return thawed(_about(found.problem, found, found.problem.anchor), found.problem)
+
+
 def _about(problem: Problem, found: Fit, anchor: Anchored) -> Fit:
     """The fit from where another ended, with the anchor moved to there."""
     there = replace(anchor, model=found.model, poses=tuple(found.poses.values()))

@@ -22,6 +22,10 @@ SHARES = np.geomspace(1e-4, 1.0, 400)
 
 POINTS = 4096
 """At which a density of several parameters is summed up within its range: to some thousandths."""
+STEPS = np.sqrt([2.0, 3.0, 5.0, 7.0, 11.0, 13.0, 17.0, 19.0]) % 1.0
+"""From point to point, one for each parameter before the last one."""
+LEAST = 1e-300
+"""Of the share within the range: less cannot be told from none."""
 
 
 def log_evidence(drop: float, values: Real, covariance: Real, ranges: Sequence[tuple[float, float]]) -> float:
@@ -32,13 +36,14 @@ def log_evidence(drop: float, values: Real, covariance: Real, ranges: Sequence[t
     _, log = np.linalg.slogdet(2.0 * np.pi * covariance)
     lower, upper = np.array(ranges).T
     inside = _inside(covariance, lower - values, upper - values)
-    return 0.5 * (drop + float(log)) + float(np.log(inside) - np.sum(np.log(upper - lower)))
+    return 0.5 * (drop + float(log)) + float(np.log(max(inside, LEAST)) - np.sum(np.log(upper - lower)))
 
 
 def _inside(covariance: Real, lower: Real, upper: Real) -> float:
     """The share of a normal density about 0 within a box, one parameter after another: exact for a single one.
 
-    A. Genz, J. Comput. Graph. Stat. 1, 141 (1992), with the points of an additive recurrence.
+    A. Genz, J. Comput. Graph. Stat. 1, 141 (1992), with the points of an additive recurrence; of more parameters than
+    it has steps the ones that follow are taken at the middle of their range.
     """
     sd = np.sqrt(np.diag(covariance))
     axes = np.linalg.cholesky(covariance / np.outer(sd, sd) + 1e-12 * np.eye(len(sd)))
@@ -48,8 +53,8 @@ def _inside(covariance: Real, lower: Real, upper: Real) -> float:
         along = axis[:number] @ taken[:number]
         below, above = (ndtr((end[number] / sd[number] - along) / axis[number]) for end in (lower, upper))
         share *= above - below
-        point = np.arange(0.5, count) * np.sqrt(number + 2.0) % 1.0 if count > 1 else 0.5
-        taken[number] = ndtri(np.clip(below + point * (above - below), 1e-300, 1.0 - 1e-16))
+        point = np.arange(0.5, count) * STEPS[number] % 1.0 if number < len(STEPS) else 0.5
+        taken[number] = ndtri(np.clip(below + point * (above - below), LEAST, 1.0 - 1e-16))
     return float(share.mean())
 
 

@@ -43,10 +43,10 @@ class Rung:
         """Of a fit and its structure; `blocks`: halves of the images are left out, too."""
         fit = ground.fit
         squares, noise, level, count = 0.0, 0.0, 0.0, 0
-        for image, signal, variance in zip(fit.problem.images, fit.signals_dn, fit.variances_dn2, strict=True):
+        for number, (image, signal) in enumerate(zip(fit.problem.images, fit.signals_dn, strict=True)):
             used = image.used
             squares += float(np.sum((image.signal_dn - signal)[used] ** 2))
-            noise += float(np.sum(variance[used]))
+            noise += float(np.sum(fit.variance_dn2(number)[used]))
             level, count = level + float(np.sum(signal[used])), count + int(used.sum())
         if not count:  # spectra alone: of their mean value
             rows = fit.residual * np.concatenate([*fit.whitening.curve_sigma])

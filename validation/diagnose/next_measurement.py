@@ -85,11 +85,11 @@ class Rivals:
         now = _separation([here], prior_sd, usable)
         found = []
         samples = [image.sample for image in self.fit.problem.images]
-        candidates, measured = list(candidates_of(samples)), {one.id for one in samples}
+        candidates = list(candidates_of(samples))
         for number, (words, sample, exposure) in enumerate(candidates):
             heard(number / len(candidates), words)
             try:
-                if sample.id in measured:
+                if sample in samples:
                     rows = [self._on_measured(self._with_more_of(sample, exposure), changes)]
                 else:
                     rows = [here, self._there(sample, exposure, usable, paths)]
@@ -98,7 +98,7 @@ class Rivals:
                     raise
                 continue
             sigma = _separation(rows, prior_sd, usable)
-            found.append(Proposal(words, sample, exposure, sigma, now, sample.id in measured))
+            found.append(Proposal(words, sample, exposure, sigma, now, sample in samples))
         return sorted(found, key=lambda one: -one.expected_sigma)
 
     @property
@@ -215,6 +215,7 @@ def candidates_of(samples: Sequence[Sample]) -> Iterator[tuple[str, Sample, floa
             for count in pairs:
                 words = f"{base.layout}, {f'{count:g} pairs' if count else 'no DBR'}, D = {distance / 1000.0:.2f} mm"
                 name = f"next-{base.layout}-{count:g}-{distance:g}".replace(".", "_")
+                name += "-again" * any(one.id == name for one in samples)
                 sample = base.model_copy(update={"id": name, "dbr_pairs": count, "distance_um": distance})
                 there = next((one for one in samples if _same(sample, one)), None)
                 if (words, there is None) not in seen:

@@ -66,19 +66,6 @@ def noise_blocks(white: Whitening, samples: Sequence[str], noise_dn: Sequence[Re
     return tuple(NoiseBlock.of(rows, columns) for rows, columns in found)
 
 
-def told_columns(white: Whitening, index: int) -> Real:
-    """(function, row, column) of an image: what tells the Monte Carlo's noise, in sds of the camera's."""
-    used = white.used[index]
-    start = sum(int(one.sum()) for one in white.used[:index])
-    found = []
-    for block in white.noise:
-        own = (block.rows >= start) & (block.rows < start + int(used.sum()))
-        if own.any():
-            found.append(np.zeros((len(block.columns), *used.shape)))
-            found[-1][:, used] = block.columns[:, own]
-    return np.concatenate(found) if found else np.zeros((0, *used.shape))
-
-
 def told_variance(white: Whitening) -> Real:
     """(row,) of the images: variance of the Monte Carlo's noise, in that of the camera's noise."""
     variance = np.zeros(white.count)

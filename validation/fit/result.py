@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from luxloop.model import Model
 from validation.fit.least_squares import WORST_CONDITION, Basis, Reduced, Step, basis
-from validation.fit.model_noise import noise_share, noise_shares, told_columns, told_variance
+from validation.fit.model_noise import noise_share, noise_shares
 from validation.fit.parameters import gain_of, pose_of, tied
 from validation.fit.problem import Evaluation, Problem
 from validation.fit.whitening import Whitening, variance_scale
@@ -54,6 +54,7 @@ class Fit:
     residual: Real  # (row,), whitened
     carried: Real  # (row,), whitened: what the twin's error may have changed by, on the way from the anchor
     signals_dn: tuple[Real, ...]  # expected, by image
+    noise_per_mm2: tuple[Real | None, ...]  # (function, row, column) of each image: of the prediction's Monte Carlo
     covariance: Real
     chi2: float  # of the data
     freedom: float  # data rows less what the fit takes from them
@@ -119,20 +120,20 @@ class Fit:
         """Whitened residual of each image, zero where unused."""
         return self.whitening.unfold(self.residual[: self.whitening.count])
 
-    @cached_property
-    def variances_dn2(self) -> list[Real]:
-        """Of the noise of each image (row, column): of camera, its pattern, and the prediction's Monte Carlo.
+    def variance_dn2(self, index: int) -> Real:
+        """Of the noise of an image (row, column): of camera, its pattern, and the prediction's Monte Carlo.
 
         Unused pixels have none of the last.
         """
-        told = self.whitening.unfold(told_variance(self.whitening))
-        images = zip(self.problem.images, self.signals_dn, told, strict=True)
-        return [image.noise_dn2(signal) * (1.0 + of_model) for image, signal, of_model in images]
+        own = self.problem.images[index].noise_dn2(self.signals_dn[index])
+        return np.asarray(own + np.sum(self.model_noise_dn(index) ** 2, axis=0))
 
     def model_noise_dn(self, index: int) -> Real:
         """(function, row, column) of an image: what tells the noise of its Monte Carlo, 0 where unused."""
-        image, signal = self.problem.images[index], self.signals_dn[index]
-        return told_columns(self.whitening, index) * np.sqrt(image.noise_dn2(signal))
+        image, noise = self.problem.images[index], self.noise_per_mm2[index]
+        if noise is None:
+            return np.zeros((0, *image.used.shape))
+        return np.asarray(self.gains[image.shot.id] * noise * image.used)
 
     @property
     def residual_curves(self) -> list[Real]:
@@ -204,6 +205,7 @@ def conclude(
         residual=residual,
         carried=evaluation.carried(white, values),
         signals_dn=tuple(evaluation.signals_dn(change)),
+        noise_per_mm2=tuple(one.noise_per_mm2 for one in evaluation.predicted),
         covariance=covariance,
         chi2=chi2,
         freedom=freedom,

@@ -54,3 +54,17 @@ def test_what_lies_beyond_the_range_is_no_evidence() -> None:
     off = np.sum((at - best) @ np.linalg.inv(covariance) * (at - best), axis=1)
     expected = float(logsumexp(0.5 * (3.0 - off)) - np.log(len(at)))
     assert log_evidence(3.0, best, covariance, [(0.0, 1.0)] * 2) == pytest.approx(expected, abs=0.005)
+
+
+def test_many_parameters_that_are_tied_have_their_share_within_the_range() -> None:
+    """Four, the last two tied by 0.9, against draws; ten, in a box that holds them all."""
+    covariance = np.eye(4)
+    covariance[2, 3] = covariance[3, 2] = 0.9
+    draws = np.random.default_rng(1).multivariate_normal(np.zeros(4), covariance, 200_000)
+    for half in (0.5, 2.0, 8.0):
+        inside = np.mean(np.all(np.abs(draws) < half, axis=1))
+        expected = np.log(inside) + 0.5 * np.linalg.slogdet(2.0 * np.pi * covariance)[1] - 4.0 * np.log(2.0 * half)
+        found = log_evidence(0.0, np.zeros(4), covariance, [(-half, half)] * 4)
+        assert found == pytest.approx(float(expected), abs=0.03)
+    ten = log_evidence(0.0, np.zeros(10), np.eye(10), [(-8.0, 8.0)] * 10)
+    assert ten == pytest.approx(5.0 * np.log(2.0 * np.pi) - 10.0 * np.log(16.0), abs=1e-6)
