@@ -91,10 +91,9 @@ class RunDoor:
 
     def _opened(self, begin: Begin) -> Begun:
         """The run, once it is open. Asks again while its journal is read back, for an hour."""
-        end_s = time.monotonic() + 60.0 * LOST_S
-        while isinstance((parcel := _asked(self._client, "begin", begin, {})).message, Nothing):
-            if time.monotonic() > end_s:
-                break
+        end_s, parcel = time.monotonic() + 60.0 * LOST_S, _asked(self._client, "begin", begin, {})
+        while isinstance(parcel.message, Nothing) and time.monotonic() < end_s:
+            parcel = _asked(self._client, "begin", begin, {})
         return parcel.expect(Begun)
 
     def _open_again(self) -> None:
