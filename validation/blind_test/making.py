@@ -40,7 +40,16 @@ from validation.blind_test.left_out import leave_out, left_out
 from validation.blind_test.scenes import Light, Scene, mean_of, write_images
 from validation.blind_test.seals import Answer, Hiding, seal
 from validation.blind_test.strength import LEAST_SIGMA, Halves, NoAmount, NotReached, sigma_beside, sigma_of
-from validation.blind_test.truths import Counts, Kinds, Planned, camera_of, planned, surroundings_of, truth_of
+from validation.blind_test.truths import (
+    Counts,
+    Kinds,
+    Planned,
+    camera_of,
+    planned,
+    sample_of,
+    surroundings_of,
+    truth_of,
+)
 from validation.dataset.folder import read_dataset, write_sums
 from validation.dataset.simulation_plan import Plan
 from validation.diagnose.score import Projected
@@ -70,7 +79,7 @@ class Asked:
     """Whether the strength that is left beside each effect of the catalogue goes into the answer."""
 
     def __post_init__(self) -> None:
-        """Refuse a strength that nobody could see, and one that is no number."""
+        """Refuse a strength that nobody could see, one that is no number, and what the forward model has not."""
         if not np.isfinite(self.sigma):
             raise InputError("--sigma", self.sigma, f"a number, at least {LEAST_SIGMA:g}", "20 is the usual one")
         if self.counts.sets > self.counts.nothing and not self.sigma >= LEAST_SIGMA:
@@ -78,6 +87,8 @@ class Asked:
             mend = f"{self.sigma:g} sigma are less than this camera can show beside {len(blind.KINDS)} other kinds"
             raise InputError("--sigma", self.sigma, allowed, mend)
         camera_of(self.plan.camera, self.pixels)
+        for one in self.plan.samples:
+            sample_of(one)
         surroundings_of(self.model)
 
     def document(self) -> dict[str, Any]:

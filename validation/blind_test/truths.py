@@ -184,22 +184,37 @@ def surroundings_of(model: Model) -> blind.Surroundings:
 
 
 def sample_of(one: Sample) -> blind.Sample:
-    """A sample of a plan."""
-    return blind.Sample(
-        id=one.id, rows=one.rows, columns=one.columns, distance_um=one.distance_um, width_um=one.width_um,
-        spacing_um=one.spacing_um, thickness_um=one.thickness_um, dbr_pairs=one.dbr_pairs,
-        module_half_um=one.half_um,
-    )  # fmt: skip
+    """A sample of a plan. Raises InputError for one that the blind forward model cannot build."""
+    try:
+        return blind.Sample(
+            id=one.id, rows=one.rows, columns=one.columns, distance_um=one.distance_um, width_um=one.width_um,
+            spacing_um=one.spacing_um, thickness_um=one.thickness_um, dbr_pairs=one.dbr_pairs,
+            module_half_um=one.half_um,
+        )  # fmt: skip
+    except ValueError as error:
+        raise _refused(error) from None
 
 
 def camera_of(one: CameraFacts, pixels: int) -> blind.Camera:
-    """A declared camera. Raises InputError for a fixed pattern, which the blind forward model does not have."""
+    """A declared camera. Raises InputError for one that the blind forward model does not have."""
     if one.prnu_percent:
         raise InputError("camera.prnu_percent", one.prnu_percent, "0", "the blind forward model has no fixed pattern")
-    return blind.Camera(
-        rows=pixels, columns=pixels, pixel_um=one.pixel_um, bit_depth=one.bit_depth, gain_dn_per_e=one.gain_dn_per_e,
-        read_noise_e=one.read_noise_e, full_well_e=one.full_well_e, black_level_dn=one.black_level_dn,
-    )  # fmt: skip
+    try:
+        return blind.Camera(
+            rows=pixels, columns=pixels, pixel_um=one.pixel_um, bit_depth=one.bit_depth,
+            gain_dn_per_e=one.gain_dn_per_e, read_noise_e=one.read_noise_e, full_well_e=one.full_well_e,
+            black_level_dn=one.black_level_dn,
+        )  # fmt: skip
+    except ValueError as error:
+        raise _refused(error) from None
+
+
+def _refused(error: ValueError) -> InputError:
+    """Of "FIELD = VALUE: ALLOWED is needed", as the blind forward model says it."""
+    field, _, rest = str(error).partition(" = ")
+    value, _, allowed = rest.partition(": ")
+    mend = "change it in the plan: the blind forward model traces nothing else"
+    return InputError(field, float(value), allowed.removesuffix(" is needed"), mend)
 
 
 # Kinds

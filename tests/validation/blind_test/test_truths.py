@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from pathlib import Path
 
 import pytest
 
@@ -10,6 +11,7 @@ from luxloop.errors import InputError
 from luxloop.model_file import find_model
 from validation import blind
 from validation.blind_test.groups import GROUPS, group_of
+from validation.blind_test.making import Asked
 from validation.blind_test.truths import Counts, Kinds, camera_of, planned, sample_of, surroundings_of, truth_of
 from validation.dataset.simulation_plan import DECLARED, paper_plan
 from validation.fit.parameters import free_paths
@@ -77,6 +79,20 @@ def test_the_blind_forward_model_takes_the_paper() -> None:
         camera_of(DECLARED.model_copy(update={"prnu_percent": 1.0}), 128)
     with pytest.raises(InputError, match=r"environment\.emission"):
         surroundings_of(PAPER.with_value("environment.emission", "in_plane_dipole"))
+
+
+def test_a_plan_that_the_blind_forward_model_cannot_build_is_refused_at_once(tmp_path: Path) -> None:
+    """Chips that nearly touch at the module's edge, pixels of 5 nm: a traceback once a folder was there."""
+    wide = paper_plan().samples[3].model_copy(update={"width_um": 250.0})
+    fine = DECLARED.model_copy(update={"pixel_um": 0.005})
+    for changes, words in (
+        ({"samples": (wide,)}, r"array-0: module_half_um: got 1000\.0, allowed: a number from 1050 to 100000; "),
+        ({"camera": fine}, r"camera\.pixel_um: got 0\.005, allowed: a number from 0\.01 to 1000; "),
+    ):
+        plan = paper_plan().model_copy(update=changes)
+        with pytest.raises(InputError, match=words):
+            Asked(tmp_path / "out", Counts(1, nothing=1), 1, 20.0, plan, PAPER)
+    assert not (tmp_path / "out").exists()
 
 
 def test_kinds_are_taken_in_turn() -> None:
