@@ -16,7 +16,7 @@ import numpy as np
 from luxloop.errors import InputError
 from luxloop.words import parse, sha256_of
 from validation import blind
-from validation.blind_test.alone import alone
+from validation.blind_test.alone import alone, refuse_busy
 from validation.blind_test.bound import chain_of, check_root, close
 from validation.blind_test.folders import INDEX, MODEL, SETS, Entry, Index, model_of, read_index, write_whole
 from validation.blind_test.records import read_record, record_path
@@ -36,9 +36,10 @@ from validation.diagnose.next_measurement import EXPOSURES
 def measure(folder: Path, out: Path, heard: Callable[[int, int, str], None] = lambda *_: None) -> Index:
     """All further sets that are not there yet. `heard` is told how many of how many there are.
 
-    OUT grows where further verdicts ask for an image. Raises InputError where none does, where OUT has other sets,
-    and as `seals.opened` does.
+    OUT grows where further verdicts ask for an image. Raises InputError where none does, where a diagnosis works in
+    FOLDER, where OUT has other sets, and as `seals.opened` does.
     """
+    refuse_busy(folder)
     asked = _asked(folder, out)
     with alone(out, "measure", "OUT"):
         if asked.model == MODEL:

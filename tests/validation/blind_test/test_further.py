@@ -12,10 +12,11 @@ import pytest
 from luxloop.errors import InputError
 from luxloop.model_file import find_model
 from luxloop.words import sha256_of
-from tests.validation.blind_test.pretend import chained, change, record
+from tests.validation.blind_test.pretend import answer, bound_folder_of, chained, change, hiding, record
 from tests.validation.blind_test.test_blind_command import HISTORIES, PIXELS, PLAN
+from validation.blind_test.alone import alone
 from validation.blind_test.bound import Chain
-from validation.blind_test.folders import ANSWERS, SETS, VERDICTS, model_of, read_index, write_whole
+from validation.blind_test.folders import ANSWERS, OPENED, SETS, VERDICTS, model_of, read_index, write_whole
 from validation.blind_test.further import measure, noise_seed
 from validation.blind_test.making import Asked, begin, make
 from validation.blind_test.records import read_record
@@ -119,6 +120,17 @@ def test_the_truth_is_about_a_model_of_ones_own(tmp_path: Path) -> None:
     write_whole(asked.folder / VERDICTS / "set-1.json", Chain().added(said))
     further = measure(asked.folder, tmp_path / "further")
     assert model_of(tmp_path / "further", further) == model
+
+
+def test_no_seal_is_opened_while_a_diagnosis_works(tmp_path: Path) -> None:
+    """Sets of its truths have no verdict yet: `measure` waits, as `score` does."""
+    asks = {"sample": {"id": "next"}}
+    said = record("cannot_tell_apart", "vignetting", next_measurement=asks)
+    folder = bound_folder_of(tmp_path / "sets", (answer("set-1", hiding("vignetting")), said))
+    with alone(folder, "diagnose"), pytest.raises(InputError, match="a folder that nobody works in"):
+        measure(folder, tmp_path / "out")
+    assert not (folder / OPENED).exists()
+    assert not (tmp_path / "out").exists()
 
 
 def test_it_goes_on_and_refuses_other_sets(folder: Path, tmp_path: Path) -> None:
