@@ -174,7 +174,8 @@ def confusion(
         specs = [at.known.spec(one) for one in names] if names else list(at.known.specs)
         seen = grounds(chosen, at.predictor, at.known, observed)
         found = [confused(ground, chosen, specs, at.say) for ground in seen]
-    document = {"model": chosen.name, "maps": [one.document() for one in found if one.names]}
+    told = [one.document() for one in found if one.names or one.imitated or one.failed]
+    document = {"model": chosen.name, "maps": told}
     typer.echo(json.dumps(document, ensure_ascii=False) if as_json else "\n".join(confusing(document, page)))
     drawn(draw, document, dict, page)
 

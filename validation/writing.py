@@ -53,7 +53,7 @@ def view_of(name: str, page: Path) -> Callable[..., None]:
 def drawn(
     draw: Callable[..., None] | None, document: Any, arrays: Callable[[], Mapping[str, Any]], page: Path | None
 ) -> None:
-    """Draw the page, where there is to be one, after all else was told: ends with 2 where it cannot be written.
+    """Draw the page, where there is to be one, after all else was told: ends with 2 where it cannot be drawn.
 
     That is told on stderr alone, for the one object of --json is on stdout by then.
     """
@@ -61,7 +61,10 @@ def drawn(
         return
     try:
         draw(document, arrays(), page)
-    except OSError as error:
-        mend = f"{error.strerror or error}: all else is done; give it again with another --page"
-        typer.echo(f"luxloop: {InputError('--page', str(page), 'a file that can be written', mend)}", err=True)
+    except (OSError, InputError) as error:
+        told = error
+        if not isinstance(told, InputError):
+            mend = f"{told.strerror or told}: all else is done; give it again with another --page"
+            told = InputError("--page", str(page), "a file that can be written", mend)
+        typer.echo(f"luxloop: {told}", err=True)
         raise typer.Exit(InputError.exit_code) from error

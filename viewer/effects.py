@@ -17,6 +17,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
+from luxloop.errors import InputError
 from viewer import html
 from viewer.look import BLUE, GREY, INK, ORANGE, TEXT, save, svg
 
@@ -53,7 +54,7 @@ def _images(document: Document, arrays: Arrays) -> Figure:
     figure = Figure(figsize=(11.0, 6.4), layout="constrained")
     grid = figure.add_gridspec(2, 3, height_ratios=(1.25, 1.0))
     x_mm, y_mm = arrays["x_um"] / 1e3, arrays["y_um"] / 1e3
-    extent = (x_mm[0], x_mm[-1], y_mm[0], y_mm[-1])
+    extent = (*_ends(x_mm), *_ends(y_mm))
     base, after = arrays["base"], arrays["with"]
     top = float(max(base.max(), after.max()))
     for place, image, title in ((0, base, "without"), (1, after, "with the effect")):
@@ -71,6 +72,12 @@ def _images(document: Document, arrays: Arrays) -> Figure:
     axes.set_xlabel("x (mm)")
     _cut(figure.add_subplot(grid[1, :2]), figure.add_subplot(grid[1, 2]), x_mm, base, after)
     return figure
+
+
+def _ends(centres: NDArray[Any]) -> tuple[float, float]:
+    """Where the first and the last pixel end."""
+    half = (centres[-1] - centres[0]) / (len(centres) - 1) / 2.0
+    return float(centres[0] - half), float(centres[-1] + half)
 
 
 def _cut(axes: Axes, beside: Axes, x_mm: NDArray[Any], base: NDArray[Any], after: NDArray[Any]) -> None:
@@ -105,12 +112,19 @@ def _curves(arrays: Arrays) -> Figure:
 
 
 def draw_confusion(document: Document, arrays: Arrays, path: Path) -> None:  # noqa: ARG001  # a view's arguments
-    """Draw the maps of cosines into a picture, or write a page with their tables (.html)."""
+    """Draw the largest map of cosines into a picture, or write a page of all with their tables (.html).
+
+    Raises InputError for a picture where no effect is left to compare.
+    """
     if path.suffix.lower() in (".html", ".htm"):
         html.write(path, page_of(document))
-    else:
-        with rc_context(TEXT):
-            save(map_figure(max(document["maps"], key=lambda one: len(one["names"]))), path)
+        return
+    largest = max(document["maps"], key=lambda one: len(one["names"]), default=None)
+    if largest is None or not largest["names"]:
+        mend = "calibration imitates all effects, or none acts on these data: a page says which, --page NAME.html"
+        raise InputError("--page", str(path), "a map with at least one effect", mend)
+    with rc_context(TEXT):
+        save(map_figure(largest), path)
 
 
 def page_of(document: Document) -> str:
@@ -123,6 +137,14 @@ def page_of(document: Document) -> str:
 
 def _section(one: Document) -> Iterator[str]:
     yield f"<h2>{html.escaped(one['ground'])}</h2>"
+    if one["names"]:
+        yield from _map(one)
+    if one["imitated"]:
+        yield html.paragraph(f"Wholly imitated by calibration: {', '.join(one['imitated'])}.")
+    yield from (html.paragraph(f"Not predicted: {name}: {why}") for name, why in one["failed"].items())
+
+
+def _map(one: Document) -> Iterator[str]:
     yield html.paragraph(
         "Cosine between what two effects do to the data, after what calibration and nuisances can imitate is taken"
         f" out: 1 means that these data cannot tell them apart. Boxes: groups linked by more than {one['alike']:g}."
@@ -135,8 +157,6 @@ def _section(one: Document) -> Iterator[str]:
         for number, group in enumerate(one["groups"])
     ]
     yield html.table(("group", "effects", "largest sigma at a third of the range"), rows, words=2)
-    if one["imitated"]:
-        yield html.paragraph(f"Wholly imitated by calibration: {', '.join(one['imitated'])}.")
 
 
 def map_figure(one: Document) -> Figure:

@@ -6,8 +6,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
-from viewer.effects import draw, draw_confusion, page_of
+from luxloop.errors import InputError
+from viewer.effects import _images, draw, draw_confusion, page_of
 
 MAP = {
     "ground": "six example images", "names": ["a_like", "b_like", "alone"], "alike": 0.9, "failed": {},
@@ -34,6 +36,16 @@ def test_an_image_and_a_curve_are_drawn(tmp_path: Path) -> None:
         assert (tmp_path / name).read_bytes()[:4] == b"\x89PNG"
 
 
+def test_an_image_ends_where_its_last_pixels_do() -> None:
+    """Five pixels of 50 um are 0.25 mm, not the 0.2 mm between their centres."""
+    base, axis = np.ones((5, 5)), np.linspace(-100.0, 100.0, 5)
+    document = {"rms_percent": 1.0, "mean_percent": 0.1}
+    figure = _images(document, {"base": base, "with": 1.1 * base, "x_um": axis, "y_um": axis + 10.0})
+    ends = [axes.images[0].get_extent() for axes in figure.axes if axes.images and axes.get_xlabel() == "x (mm)"]
+    assert len(ends) == 3
+    np.testing.assert_allclose(ends, [[-0.125, 0.125, -0.115, 0.135]] * 3)
+
+
 def test_the_page_of_cosines_has_groups_and_map(tmp_path: Path) -> None:
     """The same document gives the same bytes; no script runs."""
     document = {"model": "paper", "maps": [MAP]}
@@ -45,3 +57,17 @@ def test_the_page_of_cosines_has_groups_and_map(tmp_path: Path) -> None:
     draw_confusion(document, {}, tmp_path / "map.png")
     draw_confusion(document, {}, tmp_path / "map.html")
     assert (tmp_path / "map.html").read_text(encoding="utf-8") == page
+
+
+def test_where_no_effect_is_left_the_page_says_why_and_a_picture_is_refused(tmp_path: Path) -> None:
+    """Imitated and refused effects are told; the picture ended with a traceback."""
+    nothing = {"names": [], "cosines": [], "sigma": {}, "groups": [], "failed": {"odd": "no <film>"}}
+    document = {"model": "paper", "maps": [MAP | nothing]}
+    page = page_of(document)
+    assert "Wholly imitated by calibration: gone" in page
+    assert "Not predicted: odd: no &lt;film&gt;" in page
+    assert "<svg" not in page
+    for maps in ([], document["maps"]):
+        with pytest.raises(InputError, match="a map with at least one effect"):
+            draw_confusion({"maps": maps}, {}, tmp_path / "map.png")
+    draw_confusion({"maps": [document["maps"][0], MAP]}, {}, tmp_path / "map.png")

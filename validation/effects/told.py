@@ -79,7 +79,8 @@ def confusing(document: Document, page: Path | None) -> Iterator[str]:
             near = sorted(((cosine[i][j], names[j]) for j in range(len(names)) if j != i), reverse=True)[:3]
             text = ", ".join(f"{other} {value:.2f}" for value, other in near)
             rows.append((str(groups.get(name, "")), name, f"{one['sigma'][name]:.3g}", text))
-        yield from table(("group", "effect", "sigma at 1/3 of its range", "most alike"), rows)
+        if rows:
+            yield from table(("group", "effect", "sigma at 1/3 of its range", "most alike"), rows)
         if one["imitated"]:
             yield f"Wholly imitated by calibration: {', '.join(one['imitated'])}"
         yield from (f"not predicted: {name}: {why}" for name, why in one["failed"].items())

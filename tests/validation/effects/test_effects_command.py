@@ -8,15 +8,22 @@ import re
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import nullcontext
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
+import typer
+from typer.testing import CliRunner
 
 from luxloop.model_file import find_model, to_toml
 from luxloop.settings import Settings, as_environment
 from tests.conftest import free_endpoint, wait_for
 from tests.running_set import RunningSet
+from validation import effects_command
+from validation.effects.confusing import Confusion
 
 BRIGHT = """
 from containers.effect import DetectorEffect, parameter
@@ -73,6 +80,25 @@ def simulated(at: RunningSet, stanza: str) -> subprocess.CompletedProcess[str]:
     file.write_text(to_toml(find_model("paper")) + "\n" + stanza + "\n")
     design = ("--design", "180,40,500,20,2.5", "--method", "twin", "--json")
     return luxloop(at, "simulate", *design, "--model", str(file))
+
+
+def test_effects_that_calibration_imitates_are_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A map with nothing else was dropped without a word; a picture of it is refused after all was told."""
+    specs = {name: SimpleNamespace(name=name) for name in ("gone", "odd")}
+    at = SimpleNamespace(known=SimpleNamespace(spec=specs.get), predictor=None, say=None)
+    maps = [Confusion("films", (), np.eye(0), {"gone": 0.0}, ("gone",), (), {"odd": "no film"}),
+            Confusion("images", (), np.eye(0), {}, (), (), {})]  # fmt: skip
+    monkeypatch.setattr(effects_command, "_asked", lambda *_: nullcontext(at))
+    monkeypatch.setattr("validation.effects.confusing.grounds", lambda *_: range(2))
+    monkeypatch.setattr("validation.effects.confusing.confusion", lambda ground, *_: maps[ground])
+    app = typer.Typer()
+    app.command()(effects_command.confusion)
+    done = CliRunner().invoke(app, ["--only", "gone,odd", "--page", str(tmp_path / "map.png")])
+    assert done.exit_code == 2, done.output
+    assert "On films" in done.stdout
+    assert "On images" not in done.stdout
+    assert "Wholly imitated by calibration: gone\nnot predicted: odd: no film" in done.stdout
+    assert done.stderr.startswith("luxloop: --page: got")
 
 
 @pytest.mark.slow
