@@ -70,6 +70,9 @@ def _table(document: Document) -> Iterator[str]:
         " model of its own, its answers sealed before the diagnosis."
     )
     yield html.table(heads, [_row(row) for row in document["table"]], caption, words=2, ending=1)
+    if document["further"]:
+        sets = f"{document['further']} further sets, with the image that a verdict proposed,"
+        yield paragraph(f"{sets} count in the row of that image alone.")
     if document["without_verdict"]:
         yield paragraph(f"{document['without_verdict']} more that were asked for have no verdict.")
     if document["not_checked"]:
@@ -143,11 +146,12 @@ def _misses(document: Document, arrays: Arrays) -> Iterator[str]:
     )
     for one in misses[:DRAWN]:
         maps = maps_of(one, arrays)
-        yield f"<h3>{html.escaped(_name(one))}: {html.escaped(one['truth'])}</h3>"
+        name = _name(one, document)
+        yield f"<h3>{html.escaped(name)}: {html.escaped(one['truth'])}</h3>"
         yield paragraph(f"{_strength(one)} Said: {one['sentence']}")
         if maps:
             picture = residual_picture(maps, f"with {one['said']}")
-            yield html.figure(picture, f"Residuals of {_name(one)}", "Residuals in sigma, ±4.")
+            yield html.figure(picture, f"Residuals of {name}", "Residuals in sigma, ±4.")
     if len(misses) > DRAWN:
         yield paragraph(f"{len(misses) - DRAWN} more are in the table of all sets.")
 
@@ -160,9 +164,9 @@ def _strength(one: Document) -> str:
     return f"Hidden: {what}; {one['sigma']:.1f} sigma{beside}."
 
 
-def _name(one: Document) -> str:
+def _name(one: Document, document: Document) -> str:
     """Of a set among those of several folders."""
-    return f"{Path(one['folder']).name}/{one['id']}"
+    return f"{document['names'][one['folder']]}/{one['id']}"
 
 
 def maps_of(one: Document, arrays: Arrays) -> list[dict[str, NDArray[Any]]]:
@@ -196,16 +200,17 @@ def residual_picture(rows: Sequence[Mapping[str, NDArray[Any]]], below: str) -> 
 
 def _sets(document: Document) -> Iterator[str]:
     heads = ("set", "hidden", "said", "verdict", "sigma", "beside its rival", "")
-    yield html.folded("Every set with its answer", html.table(heads, _set_rows(document["marks"]), words=4, ending=1))
+    yield html.folded("Every set with its answer", html.table(heads, _set_rows(document), words=4, ending=1))
 
 
-def _set_rows(marks: Sequence[Document]) -> list[tuple[str, ...]]:
+def _set_rows(document: Document) -> list[tuple[str, ...]]:
     return [
         (
-            one["id"], one["truth"], one["said"], one["verdict"], f"{one['sigma']:.1f}",
-            NOTHING if one["sigma_rival"] is None else f"{one['sigma_rival']:.1f}", "missed" if one["missed"] else "",
+            _name(one, document), one["truth"], one["said"], one["verdict"], f"{one['sigma']:.1f}",
+            NOTHING if one["sigma_rival"] is None else f"{one['sigma_rival']:.1f}",
+            ", ".join(["further"] * bool(one["follows"]) + ["missed"] * one["missed"]),
         )
-        for one in marks
+        for one in document["marks"]
     ]  # fmt: skip
 
 

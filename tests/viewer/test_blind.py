@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
 from typing import Any
@@ -11,9 +12,10 @@ import pytest
 
 from tests.pages import Parsed, loads_nothing
 from tests.validation.blind_test.pretend import answer, folder_of, hiding, record
+from validation.blind_test.folders import SEAL, SETS
 from validation.blind_test.judging import packed
 from validation.blind_test.records import maps_path
-from validation.blind_test.scoring import maps_of, score
+from validation.blind_test.scoring import maps_of, names_of, score
 from viewer.blind import confusion_figure, draw, page_of
 from viewer.blind import maps_of as maps_of_set
 
@@ -51,6 +53,22 @@ def test_the_page_tells_the_whole_score(scored: tuple[dict[str, Any], dict[str, 
     assert "Residuals of set-1" not in page
     assert {"table", "confusion", "misses", "sets", "provenance"} <= set(Parsed(page).attributes("id"))
     assert page == page_of(*scored)
+
+
+def test_sets_of_two_folders_are_told_apart(tmp_path: Path) -> None:
+    """By as much of the paths as it takes; a further set is said to be one."""
+    first = folder_of(tmp_path / "a" / "sets", (answer("set-1", hiding("vignetting")), record("nothing_visible")))
+    follows = json.loads((first / SETS / "set-1" / SEAL).read_text())["sha256"]
+    later = answer("set-1", hiding("vignetting"), follows=follows, dataset_sha256="e" * 64)
+    further = folder_of(tmp_path / "b" / "sets", (later, record("one_effect", "vignetting")))
+    page = page_of(score([first, further]), {})
+    assert "<h1>Blind test of 1 sets</h1>" in page
+    assert "1 further sets, with the image that a verdict proposed" in page
+    assert "<h3>a/sets/set-1: vignetting</h3>" in page
+    rows = dict(re.findall(r"<tr><td>([ab]/sets/set-1)</td>(.*?)</tr>", page))
+    assert re.findall(r">(missed|further)<", rows["a/sets/set-1"]) == ["missed"]
+    assert re.findall(r">(missed|further)<", rows["b/sets/set-1"]) == ["further"]
+    assert names_of(["out", "sets/a"]) == {"out": "out", "sets/a": "a"}
 
 
 def test_residuals_are_those_of_the_set(scored: tuple[dict[str, Any], dict[str, Any]]) -> None:

@@ -31,7 +31,9 @@ def score(folders: Sequence[Path]) -> dict[str, Any]:
     hidden = [one for one in first if not one.is_nothing and not one.is_two]
     return {
         "folders": [str(folder) for folder in folders],
-        "sets": len(sets),
+        "names": names_of([str(folder) for folder in folders]),
+        "sets": len(first),
+        "further": len(sets) - len(first),
         "without_verdict": sum(len(read_index(folder).sets) for folder in folders) - len(sets),
         "roots": {str(folder): read_index(folder).root for folder in folders},
         "last_verdicts": {str(folder): end_of(folder) for folder in folders},
@@ -49,7 +51,7 @@ def score(folders: Sequence[Path]) -> dict[str, Any]:
         "too_weak": _weak(folders),
         "no_amount": sorted({kind for folder in folders for kind in no_amounts(folder)}),
         "seconds": {
-            "made": _spread(one.answer.seconds for one in sets),
+            "made": _spread(one.answer.seconds for one in first),  # a further set's are those of its first
             "diagnosed": _spread(one.record["seconds"] for one in sets if one.record["first_of_light"]),
             "diagnosed_again": _spread(one.record["seconds"] for one in sets if not one.record["first_of_light"]),
         },
@@ -67,6 +69,16 @@ def sentence(rows: Sequence[Row], sets: int, by: str) -> str:
         f"{sets} sets, {by}: of {len(judged)} targets that they can judge {len(judged) - short} are met"
         f" ({shown} of them shown: the whole 95 % interval), {short} fall short."
     )
+
+
+def names_of(folders: Sequence[str]) -> dict[str, str]:
+    """Each folder by the end of its path, as long as it takes to tell all of them apart."""
+    parts = {folder: Path(folder).parts for folder in folders}
+    for count in range(1, max(map(len, parts.values()), default=0) + 1):
+        ends = {folder: str(Path(*several[-count:])) for folder, several in parts.items()}
+        if len(set(ends.values())) == len(ends):
+            return ends
+    return {folder: folder for folder in folders}
 
 
 def maps_of(misses: Iterable[dict[str, Any]]) -> dict[str, NDArray[np.float64]]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from pathlib import Path
 from typing import Any
 
 from validation.told import table
@@ -45,6 +44,8 @@ def measured(document: Document) -> Iterator[str]:
 def scored(document: Document) -> Iterator[str]:
     """The table, who was taken for whom by group, the misses."""
     yield document["sentence"]
+    if document["further"]:
+        yield further(document["further"])
     if document["without_verdict"]:
         yield f"{document['without_verdict']} more that were asked for have no verdict: not made, or not judged."
     yield from roots(document["roots"])
@@ -58,7 +59,7 @@ def scored(document: Document) -> Iterator[str]:
     if document["misses"]:
         yield ""
         heads = ("missed", "hidden", "sigma", "beside its rival", "said")
-        yield from table(heads, [_miss(one) for one in document["misses"][:MISSES]])
+        yield from table(heads, [_miss(one, document) for one in document["misses"][:MISSES]])
         if len(document["misses"]) > MISSES:
             yield f"... and {len(document['misses']) - MISSES} more: --page shows all of them"
     yield from kinds_left_out(document)
@@ -66,6 +67,11 @@ def scored(document: Document) -> Iterator[str]:
                         ("to diagnose another one of its light", "diagnosed_again")):  # fmt: skip
         if spread := document["seconds"][name]:
             yield f"{words}: {spread['median']:.0f} s (median of {spread['sets']}), at most {spread['most']:.0f} s"
+
+
+def further(sets: int) -> str:
+    """Sets that follow others."""
+    return f"{sets} further sets, with the image that a verdict proposed, count in the row of that image alone."
 
 
 def roots(of: Mapping[str, str | None]) -> Iterator[str]:
@@ -112,7 +118,7 @@ def _confusion(document: Document) -> Iterator[str]:
         yield f"  {truth}: " + ", ".join(f"{name} {count}" for count, name in sorted(several, reverse=True))
 
 
-def _miss(one: Document) -> tuple[str, ...]:
+def _miss(one: Document, document: Document) -> tuple[str, ...]:
     beside = "-" if one["sigma_rival"] is None else f"{one['sigma_rival']:.1f}"
     said = one["verdict"] + (f": {', '.join(one['set'])}" if one["set"] else "")
-    return (f"{Path(one['folder']).name}/{one['id']}", one["truth"], f"{one['sigma']:.1f}", beside, said)
+    return (f"{document['names'][one['folder']]}/{one['id']}", one["truth"], f"{one['sigma']:.1f}", beside, said)

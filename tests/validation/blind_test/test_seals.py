@@ -193,7 +193,10 @@ def test_a_set_has_one_further_set(folder: Path) -> None:
     sets = [answer("set-1", hiding("vignetting"), follows=follows, dataset_sha256=data * 64) for data in "ef"]
     one, two = (folder_of(folder.parent / name, (each, record("nothing_visible")))
                 for name, each in zip(("one", "two"), sets, strict=True))  # fmt: skip
-    assert score([folder, one])["sets"] == 2
+    found = score([folder, one])
+    assert (found["sets"], found["further"], len(found["marks"])) == (1, 1, 2)
+    assert found["seconds"]["made"] == {"sets": 1, "median": 2.0, "most": 2.0, "sum": 2.0}  # once, not for both
+    assert "1 further sets, with the image that a verdict proposed" in "\n".join(told.scored(found))
     with pytest.raises(InputError, match="follows the same set"):
         score([folder, one, two])
 
