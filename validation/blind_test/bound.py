@@ -103,7 +103,16 @@ class Chain:
 
     def write(self, folder: Path) -> None:
         """Put on record where the chain ends."""
-        write_whole(folder / CHAIN, {"schema": SCHEMA, "records": self.count, "last": self.last})
+        write_whole(folder / CHAIN, self._document())
+
+    def mend(self, folder: Path) -> None:
+        """The same, where the writing was cut short after the last record."""
+        path = folder / CHAIN
+        if self.count and (not path.exists() or read_json(path, CHAIN, "its end", WHOLE) != self._document()):
+            self.write(folder)
+
+    def _document(self) -> dict[str, Any]:
+        return {"schema": SCHEMA, "records": self.count, "last": self.last}
 
 
 def hash_of(record: Record) -> str:

@@ -142,6 +142,7 @@ class Judge:
         """
         refuse_opened(self.folder, index)
         chain, missing = chain_of(self.folder, index), not_made(self.folder, index)
+        chain.mend(self.folder)
         order = sorted((one for one in index.sets if one.id not in missing), key=lambda one: (one.light, one.id))
         shared = Shared()
         for number, one in enumerate(order):

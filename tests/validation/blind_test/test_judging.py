@@ -9,14 +9,15 @@ from typing import Any, cast
 
 import pytest
 
+from luxloop.errors import InputError
 from luxloop.model_file import find_model
 from tests.validation.analytic import MODEL, PATHS, Spots, two_images
-from tests.validation.blind_test.pretend import answer, folder_of, record
+from tests.validation.blind_test.pretend import answer, bound_folder_of, folder_of, record
 from validation.blind_test import told
 from validation.blind_test.bound import Chain, close
-from validation.blind_test.folders import SETS, Entry, read_index, write_whole
+from validation.blind_test.folders import CHAIN, SETS, Entry, read_index, write_whole
 from validation.blind_test.judging import Judge, Shared, SharedDiagnosing, SharedSolver, not_made
-from validation.blind_test.records import record_path
+from validation.blind_test.records import read_record, record_path
 from validation.blind_test.seals import seal
 from validation.comparing import Solver
 from validation.diagnose.ground import Ground
@@ -50,6 +51,23 @@ def test_sets_that_are_not_made_yet_are_passed_over(tmp_path: Path, monkeypatch:
     assert [one["id"] for one in judge.verdicts(closed)] == ["set-1"]
     shutil.rmtree(folder / SETS / "set-1")
     assert not_made(folder, closed) == []  # a gap in a whole folder is damage
+
+
+def test_a_chain_that_was_cut_short_is_ended(tmp_path: Path) -> None:
+    """Killed between the last record and the chain: its file stayed one behind for good, and so did what is noted."""
+    said = record("nothing_visible")
+    folder = bound_folder_of(tmp_path / "run", *((answer(name), said) for name in ("set-1", "set-2")))
+    whole, nobody = (folder / CHAIN).read_bytes(), cast("Any", None)
+    judge = Judge(folder, PAPER, nobody, nobody, Solver(None))
+    first = read_record(folder, "set-1")
+    Chain(1, first["sha256"]).write(folder)
+    for _ in range(2):
+        assert list(judge.verdicts(read_index(folder))) == []
+        assert (folder / CHAIN).read_bytes() == whole
+    for name in ("set-1", "set-2"):
+        record_path(folder, name).unlink()
+    with pytest.raises(InputError, match="a verdict was taken away"):
+        next(judge.verdicts(read_index(folder)))
 
 
 def test_the_first_set_makes_its_anchor_anew_where_its_fit_moves_and_lends_the_last(
