@@ -93,7 +93,8 @@ def _head(document: Document) -> Iterator[str]:
     chance = f"structure p: how often noise alone gives as much, of {structure['draws']:,} simulated repeats"
     rows.append((probability(structure), chance))
     if found := document.get("regions"):
-        rows.append((f"{number(found[0]['z'])} sigma", f"strongest: {found[0]['region']}, {found[0]['shot']}"))
+        least = f"least likely to be noise: {found[0]['region']}, {found[0]['shot']}"
+        rows.append((f"{number(found[0]['z'])} sigma", least))
     rows.append((f"{sum(shot['pixels'] for shot in shots):,}", f"points compared, in {len(shots)} shots"))
     yield html.highlights(rows)
     if not document["trusted"]:
