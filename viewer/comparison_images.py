@@ -6,7 +6,7 @@ alone looks like, so that two maps can be compared by eye.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,6 +27,7 @@ Values = NDArray[np.float64]
 LARGEST_PX = 128  # of a side on the page; larger images are drawn with pixels joined
 NOISE_SEED = 1
 SMALL = (3.3, 2.75)
+MEASURED, MODEL, RESIDUAL, NOISE = "measured (DN)", "model (DN)", "residual (sigma)", "noise alone, an example"
 RESIDUALS = colormaps["RdBu_r"].resampled(33).with_extremes(bad=GREY)
 UNUSED = colormaps["inferno"].resampled(128).with_extremes(bad=GREY)
 
@@ -78,18 +79,18 @@ def joined_signal(signal_dn: Values, side: int) -> Values:
     return total / count
 
 
-def image_pictures(image: Image) -> dict[str, bytes]:
-    """Measured, model, residual; cuts along x and y; what noise alone looks like. {title: SVG}"""
-    drawn = {
-        "measured (DN)": lambda figure, axes: _signal(figure, axes, image, image.measured_dn),
-        "model (DN)": lambda figure, axes: _signal(figure, axes, image, image.model_dn),
-        "residual (sigma)": lambda figure, axes: residuals(figure, axes, image, image.z),
+def image_pictures(image: Image, wanted: Collection[str] | None = None) -> dict[str, bytes]:
+    """Measured, model, residual; cuts along x and y; what noise alone looks like; or those `wanted`. {title: SVG}"""
+    maps: dict[str, Callable[[Figure, Axes], None]] = {
+        MEASURED: lambda figure, axes: _signal(figure, axes, image, image.measured_dn),
+        MODEL: lambda figure, axes: _signal(figure, axes, image, image.model_dn),
+        RESIDUAL: lambda figure, axes: residuals(figure, axes, image, image.z),
+        NOISE: lambda figure, axes: residuals(figure, axes, image, noise_like(image)),
     }
-    pictures = {title: _small(title, draw) for title, draw in drawn.items()}
-    pictures |= {f"cut along {name}": _cut_picture(image, axis) for axis, name in ((1, "x"), (0, "y"))}
-    title = "noise alone, an example"
-    pictures[title] = _small(title, lambda figure, axes: residuals(figure, axes, image, noise_like(image)))
-    return pictures
+    cuts = {"cut along x": 1, "cut along y": 0}
+    titles = [title for title in (MEASURED, MODEL, RESIDUAL, *cuts, NOISE) if wanted is None or title in wanted]
+    return {title: _cut_picture(image, cuts[title]) if title in cuts else _small(title, maps[title])
+            for title in titles}  # fmt: skip
 
 
 def noise_like(image: Image) -> Values:
@@ -108,8 +109,7 @@ def worst(image: Image, title: str) -> Figure:
         _signal(figure, tops[1], image, image.model_dn)
         residuals(figure, tops[2], image, image.z)
         residuals(figure, tops[3], image, noise_like(image))
-        names = ("measured (DN)", "model (DN)", "residual (sigma)", "noise alone, an example")
-        for axes, name in zip(tops, names, strict=True):
+        for axes, name in zip(tops, (MEASURED, MODEL, RESIDUAL, NOISE), strict=True):
             axes.set_title(name)
         upper = figure.add_subplot(grid[1, :])
         _cut(upper, figure.add_subplot(grid[2, :], sharex=upper), image, 1)

@@ -158,12 +158,11 @@ def _images(document: Document, arrays: Arrays) -> Iterator[str]:
         " pixels, what noise alone looks like: a model that lacks nothing leaves such a map."
     )
     for shot in shots:
-        pictures = images.image_pictures(images.image_of(shot, arrays))
-        noise = next(title for title in pictures if title.startswith("noise"))
-        kept = {title: pictures[title] for title in ("measured (DN)", "model (DN)", noise)}
-        kept |= dict(_residuals(shot, arrays, name))
+        wanted = (images.MEASURED, images.MODEL, images.NOISE)
+        pictures = images.image_pictures(images.image_of(shot, arrays), wanted)
+        pictures |= dict(_residuals(shot, arrays, name))
         caption = f"{shot['id']}: {shot['dbr_pairs']:g} pairs."
-        yield f"<h3>{html.escaped(shot['id'])}</h3>\n{html.row(kept, 'three', caption, document['command'])}"
+        yield f"<h3>{html.escaped(shot['id'])}</h3>\n{html.row(pictures, 'three', caption, document['command'])}"
 
 
 def _residuals(shot: Document, arrays: Arrays, name: str) -> Iterator[tuple[str, bytes]]:
@@ -187,8 +186,8 @@ def _scores(document: Document) -> Iterator[str]:
         return
     caption = (
         "Each effect by itself, before it is added: sigma of it in the residual, after what the fit's own"
-        " parameters can do is taken out. Orange: named by the verdict; blue: added and fitted; grey: not tried."
-        " The largest is not the verdict: somebody is always first."
+        " parameters can do is taken out; none of a sign that it cannot have. Orange: named by the verdict;"
+        " blue: added and fitted; grey: not tried. The largest is not the verdict: somebody is always first."
     )
     yield html.figure(figures.scores_picture(document), "Scores of all effects", caption, document["command"])
     if document["untestable"]:

@@ -17,7 +17,7 @@ from viewer.look import BLUE, GREEN, GREY, INK, ORANGE, TEXT, svg
 Document = Mapping[str, Any]
 
 SHOWN = 14
-"""Bars of one picture."""
+"""Bars of one picture; of scores also those of the verdict."""
 WRITTEN = 0.5
 """|cosine| from which its number is written into the map."""
 DARK = 0.75
@@ -25,8 +25,12 @@ DARK = 0.75
 
 
 def scores_figure(document: Document) -> Figure:
-    """How many sigma of each effect are in the residual, those that were added in colour."""
-    rows = document["scores"][:SHOWN][::-1]
+    """How many sigma of each effect are in the residual, those that were added in colour.
+
+    What has the sign that an effect cannot have is none of it.
+    """
+    scores = document["scores"]
+    rows = [one for place, one in enumerate(scores) if place < SHOWN or one["name"] in document["set"]][::-1]
     added = {one["name"] for one in document["effects"]}
     with rc_context(TEXT):
         figure = Figure(figsize=(7.2, 0.24 * max(len(rows), 4) + 1.1), layout="constrained")
@@ -34,7 +38,8 @@ def scores_figure(document: Document) -> Figure:
         colours = [
             ORANGE if one["name"] in document["set"] else BLUE if one["name"] in added else GREY for one in rows
         ]
-        axes.barh([one["name"] for one in rows], [abs(one["z"]) for one in rows], color=colours, height=0.7)
+        lengths = [np.sqrt(one["chi2_drop"]) for one in rows]
+        axes.barh([one["name"] for one in rows], lengths, color=colours, height=0.7)
         axes.set_xlabel("sigma of the effect in what the model leaves")
         named = ", ".join(document["set"])
         axes.set_title(document["verdict"].replace("_", " ") + (f": {named}" if named else ""))

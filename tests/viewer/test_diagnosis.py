@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from tests.pages import Parsed, loads_nothing, picture_loads_nothing
 from viewer.diagnosis import draw, draw_ladder, page_of
 from viewer.diagnosis_figures import ladder_figure, scores_figure
-from viewer.look import GREY, ORANGE
+from viewer.look import GREY, ORANGE, svg
 
 COMMAND = "luxloop diagnose --model model.toml --page diagnosis.html"
 SENTENCE = "edge_walls explains 97 +- 2 %: reflectance 0.28 +- 0.01."
@@ -185,12 +185,35 @@ def test_words_of_others_cannot_break_the_page() -> None:
 
 
 def test_the_bars_are_the_scores_and_the_named_are_marked() -> None:
-    """Their length is |z|, the strongest on top; effects of the verdict in one colour, those not tried in grey."""
+    """Their length is the root of chi2's drop, the strongest on top; named ones in one colour, not tried in grey."""
     (axes,) = scores_figure(diagnosis()).axes
     bars: list[Any] = list(axes.patches)
     assert [bar.get_width() for bar in bars] == [2.0, 30.0, 40.6]
     colours = [_hex(bar.get_facecolor()) for bar in bars]
     assert colours == [GREY, ORANGE, ORANGE]
+
+
+def test_a_sign_that_an_effect_cannot_have_is_no_bar_and_the_named_are_always_drawn() -> None:
+    """A loss of 8 sigma where only a gain can be stood among the strongest; the second named was the 16th of all."""
+    scores = [score(f"effect_{k:02d}", 20.0 - k) for k in range(18)] + [score("gain", -8.0) | {"chi2_drop": 0.0}]
+    (axes,) = scores_figure(diagnosis(scores=scores, set=["effect_00", "effect_15"], effects=[])).axes
+    assert [label.get_text() for label in axes.get_yticklabels()][:2] == ["effect_15", "effect_13"]
+    assert [bar.get_width() for bar in list(axes.patches)[:2]] == [5.0, 7.0]
+    (axes,) = scores_figure(diagnosis(scores=scores[-3:])).axes
+    assert [bar.get_width() for bar in axes.patches] == [0.0, 3.0, 4.0]
+
+
+def test_only_pictures_of_the_page_are_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Measured, model and noise; three more of each image had been drawn for nothing."""
+    drawn = []
+
+    def counted(figure: Any) -> bytes:
+        drawn.append(figure)
+        return svg(figure)
+
+    monkeypatch.setattr("viewer.comparison_images.svg", counted)
+    page_of(diagnosis(), arrays())
+    assert len(drawn) == 3
 
 
 def test_the_same_document_gives_the_same_bytes(tmp_path: Path, whole: tuple[Parsed, str]) -> None:
