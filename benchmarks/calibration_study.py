@@ -119,7 +119,7 @@ def measured(truth: Truth, samples: Sequence[Sample], camera: CameraFacts, seed:
             shot=shot, sample=sample, camera=camera, signal_dn=signal, used=np.ones(signal.shape, bool),
             constant_dn2=camera.dark_variance_dn2 / bins * like, slope_dn=camera.gain_dn_per_e / bins * like,
             dark_dn2=0.0 * like, prnu=camera.prnu_percent / 100.0 / BINNING, binning=BINNING, pixel_um=24.0,
-            centre_px=(20.5, 20.5), saturated=0, masked=0,
+            centre_px=(20.5, 20.5), saturated=0, masked=0, raw_pixels=nine.size,
         ))  # fmt: skip
     return images
 

@@ -30,9 +30,10 @@ def check(
 ) -> None:
     """List everything that is wrong with a data set; exit code 2 where anything is an error."""
     from validation.dataset.checks import check as findings_of
-    from validation.dataset.folder import folder_of, write_sums
+    from validation.dataset.folder import folder_of, manifest_bytes, write_sums
 
     if seal:
+        manifest_bytes(folder_of(dataset))  # refuses a folder that is no data set
         write_sums(folder_of(dataset))
     findings = findings_of(dataset)
     _tell_findings(dataset, findings, as_json)
@@ -184,7 +185,6 @@ def _image_facts(image: MeasuredImage) -> dict[str, Any]:
     signal = image.signal_dn[image.used]
     noise = np.sqrt(image.variance_dn2(image.signal_dn))[image.used]
     bright = signal >= np.quantile(signal, 0.99)
-    raw = image.used.size * image.binning**2
     return {
         "shot": image.shot.id,
         "sample": image.sample.id,
@@ -193,8 +193,8 @@ def _image_facts(image: MeasuredImage) -> dict[str, Any]:
         "binning": image.binning,
         "pixels": list(image.used.shape),
         "pixel_um": image.pixel_um,
-        "saturated_percent": 100.0 * image.saturated / raw,
-        "masked_percent": 100.0 * image.masked / raw,
+        "saturated_percent": 100.0 * image.saturated / image.raw_pixels,
+        "masked_percent": 100.0 * image.masked / image.raw_pixels,
         "peak_dn": float(np.median(signal[bright])),
         "snr_bright": float(np.median(signal[bright] / noise[bright])),
         "snr_median": float(np.median(signal / noise)),

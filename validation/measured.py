@@ -64,6 +64,7 @@ class MeasuredImage:
     centre_px: tuple[float, float]  # (row, column), first guess of the module's centre, in binned pixels
     saturated: int  # raw pixels
     masked: int  # raw pixels
+    raw_pixels: int  # of the file, those that no whole bin holds included
 
     def variance_dn2(self, predicted_dn: Real) -> Real:
         """Variance (..., row, column) in DN^2 of the temporal noise for a predicted signal in DN; without PRNU."""
@@ -259,6 +260,7 @@ def _measured(
         centre_px=_centre(shot, raw, factor),
         saturated=int(np.count_nonzero(saturated if ignored is None else saturated & ~ignored)),
         masked=0 if ignored is None else int(np.count_nonzero(ignored)),
+        raw_pixels=raw.size,
     )
 
 

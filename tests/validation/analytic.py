@@ -135,6 +135,7 @@ def blank(shot: str, sample: Sample, side: int = 24, prnu: float = 0.0, **facts:
         centre_px=((side - 1) / 2.0, (side - 1) / 2.0),
         saturated=0,
         masked=0,
+        raw_pixels=like.size,
         **facts,
     )
 

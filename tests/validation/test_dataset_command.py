@@ -88,6 +88,13 @@ def test_check_seals_what_was_changed_on_purpose(tmp_path: Path) -> None:
     assert told("check", folder)["warnings"] == 0
 
 
+def test_check_seals_no_folder_that_is_no_data_set(tmp_path: Path) -> None:
+    """A home folder would get the hashes of all that is in it: nothing is written."""
+    (tmp_path / "letter.txt").write_text("mine")
+    assert refusal("check", tmp_path, "--seal").field == "dataset.toml"
+    assert [path.name for path in tmp_path.iterdir()] == ["letter.txt"]
+
+
 def test_check_knows_the_tables_of_materials_and_says_that_a_seal_mends_nothing(tmp_path: Path) -> None:
     """A film of a misspelt material: an error by the place in the manifest, also after it was sealed."""
     folder = tmp_path / "wafer"
@@ -120,6 +127,15 @@ def test_show_tells_camera_samples_and_shots(tmp_path: Path, monkeypatch: pytest
     text = run("show", folder).stdout
     for word in ("array 3 x 5", "gain_dn_per_e 0.05", "transmission", "goniometer"):
         assert word in text
+
+
+def test_shares_of_an_image_are_of_all_its_pixels(tmp_path: Path) -> None:
+    """96 pixels in bins of 5: the share was of the 95 that bins hold, while the count is of all."""
+    folder = write_dataset(tmp_path)
+    edit(folder, "pixel_um = 24.0", "pixel_um = 5.0")
+    single, _ = told("show", folder)["images"]
+    assert (single["binning"], single["pixels"]) == (5, [19, 19])
+    assert single["masked_percent"] == pytest.approx(100.0 * 35 / 96**2)
 
 
 def test_show_is_as_wide_as_columns_say(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

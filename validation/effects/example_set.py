@@ -103,6 +103,7 @@ def _image(sample: Sample, signal_dn: np.ndarray[tuple[int, ...], np.dtype[np.fl
         centre_px=(middle, middle),
         saturated=0,
         masked=0,
+        raw_pixels=signal_dn.size * bin_pixels,
     )
 
 
