@@ -136,7 +136,7 @@ def import_(
     if not 0.0 < scale < 1e9:
         raise InputError("--scale", scale, "above 0")
     rows_of_table: list[Row] = read_sheet(table) if table else [{"file": file} for file in files]
-    title = name or into.name
+    title = name or os.path.basename(os.path.realpath(into))
     order = Order(folder, rows_of_table, common, camera, title, licence, table is not None, row0, scale)
     manifest = import_folder(order, into)
     findings = findings_of(into)

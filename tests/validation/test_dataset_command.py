@@ -250,6 +250,28 @@ def test_import_reads_what_other_programs_write(tmp_path: Path, kind: str) -> No
     np.testing.assert_allclose(stored, values, atol=1.0 if kind == "lmk camera" else 0.0)
 
 
+def test_import_reads_a_matrix_below_an_empty_line(tmp_path: Path) -> None:
+    """What is between its numbers was looked for in that line."""
+    (tmp_path / "raw").mkdir()
+    rows = "".join(f"{row},5;{row}\n" for row in range(100, 140))
+    (tmp_path / "raw/a.csv").write_text("\n  \n# 1.5 mm, cut\n" + rows)
+    options = ("--layout", "single", "--row0", "bottom", *CAMERA, *DESIGN)
+    run("import", tmp_path / "raw", "--into", tmp_path / "d", *options)
+    assert tifffile.imread(tmp_path / "d/images/a.tif")[1].tolist() == [101.5, 101.0]
+
+
+@pytest.mark.parametrize("into", [".", "../link"])
+def test_import_into_an_empty_folder(raw: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, into: str) -> None:
+    """The one that somebody is in, or a link to it: all work was done, and then it failed."""
+    (tmp_path / "data").mkdir()
+    (tmp_path / "link").symlink_to("data")
+    monkeypatch.chdir(tmp_path / "data")
+    told("import", raw, "--into", into, "--layout", "single", *CAMERA, *DESIGN)
+    assert {path.name for path in Path().iterdir()} == {"dataset.toml", "SHA256SUMS", "images"}
+    assert read_dataset(tmp_path / "data").manifest.name == "data"
+    assert (tmp_path / "link").is_symlink()
+
+
 def lmk_of(header: bytes, body: bytes) -> tuple[str, bytes]:
     """An LMK file."""
     return "a.pf", header + body
@@ -266,6 +288,9 @@ BAD_FILES = {
     "header in csv": ("a.csv", b"a,b\n1,2\n3,4\n", "header line"),
     "ragged csv": ("a.csv", b"1,2\n3\n", "different lengths"),
     "one line": ("a.csv", b"1,2,3\n", "one row a line"),
+    "thousands": ("a.csv", b"1,234,567;1\n2;3\n", "marks between thousands"),
+    "thousands and decimals": ("a.csv", b"1.234,5\t1\n2\t3\n", "marks between thousands"),
+    "thousands elsewhere": ("a.csv", b"0.5;1\n2;1,234\n", "marks between thousands"),
 }
 
 

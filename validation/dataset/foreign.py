@@ -42,16 +42,21 @@ def read_foreign(path: Path, name: str, types: tuple[str, ...] = IMAGE_TYPES) ->
 
 
 def _matrix(path: Path, name: str) -> Pixels:
-    """A matrix as text: one row a line; tabs, semicolons, commas or blanks between; whole numbers become uint16."""
+    """A matrix as text: one row a line; tabs, semicolons, commas or blanks between; whole numbers become uint16.
+
+    Beside tabs and semicolons a comma can only be a decimal one; thousands that are set apart are refused.
+    """
     try:
         text = path.read_bytes().decode("utf-8-sig")
     except UnicodeDecodeError:
         raise InputError(f"{name}: format", "no UTF-8", "numbers as text", "save it as UTF-8") from None
-    first = text.partition("\n")[0]
+    lines = [line.partition("#")[0] for line in text.splitlines()]
+    first = next((line for line in lines if line.strip()), "")
     between = next((mark for mark in ("\t", ";", ",") if mark in first), None)
+    lines = [line.rstrip(" " + (between or "")) for line in lines]
     if between in ("\t", ";"):
-        text = text.replace(",", ".")  # then a comma can only be a decimal one
-    lines = [line.rstrip(" \r" + (between or "")) for line in text.splitlines()]
+        _refuse_thousands(lines, between, name)
+        lines = [line.replace(",", ".") for line in lines]
     try:
         values = np.loadtxt(io.StringIO("\n".join(lines)), delimiter=between, ndmin=2)
     except ValueError as error:
@@ -61,6 +66,17 @@ def _matrix(path: Path, name: str) -> Pixels:
         raise InputError(f"{name}: size", values.shape, "a matrix: rows and columns of pixels", "one row a line")
     whole = bool(np.all(values == np.round(values))) and 0.0 <= values.min() <= values.max() <= 65_535.0
     return values.astype(np.uint16 if whole else np.float32)
+
+
+def _refuse_thousands(lines: list[str], between: str, name: str) -> None:
+    """InputError where commas are not all decimal ones: two in a cell, or points beside them."""
+    cells = (cell for line in lines if "," in line for cell in line.split(between))
+    cell = next((cell for cell in cells if cell.count(",") > 1), "")
+    points, commas = (next((line for line in lines if mark in line), "") for mark in ".,")
+    if cell or (points and commas):
+        value = cell or f"{points[:40]} and {commas[:40]}"
+        mend = "export the matrix without marks between thousands"
+        raise InputError(f"{name}: format", value, "decimal commas or decimal points, not both", mend)
 
 
 def _lmk(path: Path, name: str) -> Pixels:

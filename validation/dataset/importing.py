@@ -77,18 +77,25 @@ def import_folder(order: Order, into: Path) -> Manifest:
 
     Raises InputError naming all that is missing, or the first file that cannot be read. Nothing is left behind then.
     """
-    if into.exists() and (not into.is_dir() or any(into.iterdir())):
+    folder = Path(os.path.realpath(into))
+    is_there = os.path.lexists(folder)
+    if is_there and (not folder.is_dir() or any(folder.iterdir())):
         raise InputError("--into", str(into), "a folder that does not exist, or is empty", "give another name")
     refuse_options(order)
     _refuse_missing(order)
     with written("--into", into, "name a folder where you may write"):
-        into.parent.mkdir(parents=True, exist_ok=True)
-        part = Path(tempfile.mkdtemp(prefix=f".{into.name}-", dir=into.parent))
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        part = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder if is_there else folder.parent))
     try:
         manifest = _written(order, part)
         write_sums(part)
-        part.chmod(0o755)  # of the working folder only its owner may know
-        part.replace(into)
+        if is_there:  # somebody may be in it
+            for one in sorted(part.iterdir(), key=lambda one: one.name == MANIFEST):
+                one.replace(folder / one.name)
+            part.rmdir()
+        else:
+            part.chmod(0o755)  # of the working folder only its owner may know
+            part.replace(folder)
     except BaseException:
         shutil.rmtree(part, ignore_errors=True)
         raise
