@@ -57,6 +57,8 @@ HELD_BYTES = 128 << 20
 """Of anchors that are kept; the latest is kept in any case."""
 HELD_FIELDS = 64
 """By Monte Carlo: 0.4 to 1.1 MB each."""
+FEWER, ENOUGH, OTHER_RUN = 8, 4_000_000, 0x2545F4914F
+"""Of differences about an anchor: times fewer histories, but no fewer than these; what turns its seed."""
 SHADOW_RAYS = 4096
 SLOPE_STEP = 1e-4
 """Of the full scale: by which a signal is moved to find the slope of a sensor's effects."""
@@ -122,9 +124,10 @@ class Predictor:
             images, of_camera = twin_views(shots, supply, cameras, report=steps.image, **job.options)
             arrays: Arrays = {"images_per_mm2": images}
         else:
-            anchor = self._anchor(request.anchor, job, supply, means)
+            at = request.anchor if request.noise else _another(request.anchor)
+            anchor = self._anchor(at, job, supply, means)
             shots = anchor.near(shots)
-            found = anchor.predict(shots, supply, cameras, report=steps.image)
+            found = anchor.predict(shots, supply, cameras, surely=not request.noise, report=steps.image)
             arrays = {"images_per_mm2": found.images_per_mm2}
             if request.noise:
                 arrays["noise_per_mm2"] = found.noise_per_mm2.astype(np.float32)
@@ -145,8 +148,8 @@ class Predictor:
         if len(at) != len(wanted) or _size(at[0]) != _size(wanted[0]):
             given, allowed = (f"{len(some)} shots of {_size(some[0])} pixels" for some in (at, wanted))
             raise InputError("anchor.shots", given, allowed, "one for each of the wanted ones, in the same order")
-        decisive = job.request.model_dump(mode="json", include={"anchor", "exit_histories", "exit_seed"})
-        key = sha256_of([decisive, *([] if asked.shots else [shot.model_dump(mode="json") for shot in wanted])])
+        decisive = [asked.model_dump(mode="json"), job.request.exit_histories, job.request.exit_seed]
+        key = sha256_of([*decisive, *([] if asked.shots else [shot.model_dump(mode="json") for shot in wanted])])
 
         def make() -> Anchor:
             shots = _shots(at, "anchor.shots" if asked.shots else "shots", means)
@@ -306,6 +309,14 @@ def _bent(image_per_mm2: Real, shot: Shot) -> tuple[Real, Real]:
 
 def _size(shot: ShotRequest) -> str:
     return f"{shot.camera.rows} x {shot.camera.columns}"
+
+
+def _another(anchor: AnchorRequest) -> AnchorRequest:
+    """An anchor at the same place, by a run whose noise has nothing in common with its own."""
+    if not anchor.histories:
+        return anchor
+    histories = min(anchor.histories, max(anchor.histories // FEWER, ENOUGH))
+    return anchor.model_copy(update={"seed": str(int(anchor.seed) ^ OTHER_RUN), "histories": histories})
 
 
 def _columns(request: PredictionRequest) -> tuple[list[Column], list[CameraColumn]]:

@@ -7,10 +7,12 @@ stretches or darkens is all of it.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import fft
 
 from containers.ray_tracing.light_map import LightMap
 from containers.ray_tracing.twin.module import open_array
@@ -80,6 +82,22 @@ class Difference:
     def nbytes(self) -> int:
         """In memory."""
         return int(self.missing.nbytes + self.twin.nbytes)
+
+
+def without_noise(missing: Real, deviations: Sequence[Real]) -> Real:
+    """A map (y, x) without what may be noise, which independent groups' `deviations` (y, x) from their mean tell.
+
+    Waves of nearly equal length share a factor max(0, 1 - noise / power), the James-Stein rule. A blur takes noise
+    out of a map: its change of one that has the noise in it would agree with any residual that has it, too.
+    """
+    groups = len(deviations)
+    waves = fft.dctn(missing, norm="ortho")
+    noise = np.sum([fft.dctn(one, norm="ortho") ** 2 for one in deviations], axis=0) / (groups * (groups - 1.0))
+    along_y, along_x = ((np.arange(count) / count) ** 2 for count in missing.shape)
+    ring = np.rint(np.sqrt(np.add.outer(along_y, along_x)) * max(missing.shape)).astype(int).ravel()
+    power, expected = np.bincount(ring, waves.ravel() ** 2), np.bincount(ring, noise.ravel())
+    kept = np.clip(1.0 - expected / np.where(power > 0.0, power, np.inf), 0.0, 1.0)
+    return np.asarray(fft.idctn(waves * kept[ring].reshape(waves.shape), norm="ortho"))
 
 
 def _resampled(values: Real, step_um: float, shape: tuple[int, ...], to_um: float) -> Real:

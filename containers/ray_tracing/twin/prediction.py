@@ -30,7 +30,7 @@ from containers.ray_tracing.light_map import LightMap
 from containers.ray_tracing.several_tops import scenes_of
 from containers.ray_tracing.twin.birthplace import born_as_in, evenly_lit, is_even
 from containers.ray_tracing.twin.columns import CameraColumn, Column
-from containers.ray_tracing.twin.difference import Difference, Plate
+from containers.ray_tracing.twin.difference import Difference, Plate, without_noise
 from containers.ray_tracing.twin.module import BINS_PER_HEIGHT, PAD, Lights, ModuleTwin
 from containers.ray_tracing.twin.noise import NoiseBasis, most_functions, noise_columns
 from containers.ray_tracing.twin.parallel import in_parallel
@@ -209,6 +209,7 @@ class Anchor:
         self.shots, self._options = tuple(shots), options
         size = refuse_several_sizes(shots)
         self._differences: list[Difference] | None = None
+        self._surely: list[Difference] | None = None  # without what may be noise
         self._noise, self._light = np.zeros((0, len(shots), *size), np.float32), np.zeros(len(shots))
         if fields is None:
             return
@@ -229,6 +230,10 @@ class Anchor:
             Difference(of - light.irradiance_per_mm2, light.irradiance_per_mm2, light.step_um, Plate.of(shot.scene))
             for of, light, shot in zip(truth, maps, shots, strict=True)
         ]
+        self._surely = [
+            replace(one, missing=without_noise(one.missing, _deviations(field, shot)))
+            for one, field, shot in zip(self._differences, fields, even, strict=True)
+        ]
         self._light = _seen(shots, maps).sum(axis=(1, 2))
 
     def predict(
@@ -237,11 +242,16 @@ class Anchor:
         supply: Supply,
         cameras: Sequence[CameraColumn] = (),
         *,
+        surely: bool = False,
         report: Report = nothing,
     ) -> Prediction:
-        """The images of the same shots at other parameters, by the exits of the anchor's chips where they can be."""
+        """The images of the same shots at other parameters, by the exits of the anchor's chips where they can be.
+
+        `surely`: with what the twin misses without what may be noise of the run, for differences between images.
+        """
         near = self.near(shots)
-        images, of_camera, twin = _views(near, supply, cameras, self._differences, report=report, **self._options)
+        differences = self._surely if surely else self._differences
+        images, of_camera, twin = _views(near, supply, cameras, differences, report=report, **self._options)
         share = _share_of(twin.sum(axis=(1, 2)), self._light)[:, None, None]
         return Prediction(images, share * self._noise, of_camera, twin)
 
@@ -254,13 +264,20 @@ class Anchor:
     @property
     def nbytes(self) -> int:
         """In memory."""
-        return int(self._noise.nbytes) + sum(one.nbytes for one in self._differences or ())
+        held = [*(self._differences or ()), *(self._surely or ())]
+        return int(self._noise.nbytes) + sum(one.nbytes for one in held)
 
 
 def _share_of(light: Any, before: Any) -> Real:
     """Light in that of an anchor's twin, 1 where that has none."""
     light, before = np.asarray(light, float), np.asarray(before, float)
     return np.asarray(np.divide(light, before, out=np.ones_like(light), where=before > 0.0))
+
+
+def _deviations(field: Field, shot: Shot) -> list[Real]:
+    """How far the maps (y, x) of a field's groups are from their mean, at the samples of a shot."""
+    apart = field.coefficients - field.coefficients.mean(axis=0)
+    return [_mean_map(replace(field, coefficients=one[None]), shot) for one in apart]
 
 
 def _mean_map(field: Field, shot: Shot) -> Real:
