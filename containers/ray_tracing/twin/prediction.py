@@ -264,7 +264,7 @@ class Anchor:
     @property
     def nbytes(self) -> int:
         """In memory."""
-        held = [*(self._differences or ()), *(self._surely or ())]
+        held: list[Difference] = [*(self._differences or ()), *(self._surely or ())]
         return int(self._noise.nbytes) + sum(one.nbytes for one in held)
 
 
