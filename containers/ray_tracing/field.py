@@ -215,6 +215,12 @@ class Field:
         return len(self.coefficients)
 
     @property
+    def nbytes(self) -> int:
+        """In memory."""
+        variance = 0 if self.tallied_variance is None else self.tallied_variance.nbytes
+        return int(self.coefficients.nbytes + variance)
+
+    @property
     def mean(self) -> float:
         """Mean over the box, in the field's unit: the light that landed, untouched by the filter."""
         return float(self.coefficients[:, 0, 0].mean())

@@ -54,9 +54,7 @@ MOST_VALUES = 1 << 25
 MOST_CHIPS = 2_500
 """Of a module: its image takes 2.4 s (5 x 5: 20 ms), and within an image nobody listens for a cancel."""
 HELD_BYTES = 128 << 20
-"""Of anchors that are kept; the latest is kept in any case."""
-HELD_FIELDS = 64
-"""By Monte Carlo: 0.4 to 1.1 MB each."""
+"""Of anchors that are kept, and of fields by Monte Carlo (0.4 to 150 MB each); the latest is kept in any case."""
 FEWER, ENOUGH, OTHER_RUN = 8, 4_000_000, 0x2545F4914F
 """Of differences about an anchor: times fewer histories, but no fewer than these; what turns its seed."""
 SHADOW_RAYS = 4096
@@ -85,7 +83,7 @@ class Predictor:
     def __init__(self, source: ExitSource, threads: int | None = None) -> None:
         self._source, self._threads = source, threads or usable_cores()
         self._anchors = Kept[Anchor](HELD_BYTES, lambda one: one.nbytes)
-        self._fields = Kept[Field](HELD_FIELDS)  # by Monte Carlo: one run serves any camera
+        self._fields = Kept[Field](HELD_BYTES, lambda one: one.nbytes)  # by Monte Carlo: one run serves any camera
         self._lights = Lights()  # of the twin's chips: what only cameras or places change has them again
 
     def answer(self, request: PredictionRequest, means: Means, progress: Progress) -> tuple[Document, Arrays]:
@@ -227,13 +225,14 @@ class _Job:
         seeds = [_seed_of(asked, wanted) for wanted in at]
         keys = [sha256_of([run, seed, *_keys(shot)]) for seed, shot in zip(seeds, even, strict=True)]
         self.steps.total += RUN_STEPS * sum(key not in known for key in set(keys)) + 2 * len(shots)
-        fields = []
+        fields: dict[str, Field] = {}  # all of them are needed at once, however few are kept
         for key, wanted, shot in zip(keys, at, even, strict=True):
             with named(shot.name):
                 run_it = partial(self._field, asked, wanted, shot.traced)
-                fields.append(known.of(key, float(asked.histories), run_it))
+                fields[key] = fields.get(key) or known.of(key, float(asked.histories), run_it)
         more = self.supply(supply.lights, UNEVEN_ABOUT)
-        return Anchor(shots, fields, supply, more, report=self.steps.image, **self.options)
+        of_shots = [fields[key] for key in keys]
+        return Anchor(shots, of_shots, supply, more, report=self.steps.image, **self.options)
 
     def _field(self, asked: AnchorRequest, wanted: ShotRequest, scene: Scene) -> Field:
         """A module's field by Monte Carlo."""

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import os
-from collections import OrderedDict
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 from containers.acting import Effects
 from containers.catalogue import Catalogue, told
 from containers.ray_tracing.exit_source import ExitSource
+from containers.ray_tracing.kept import Kept
 from containers.ray_tracing.predictor import Predictor
 from containers.ray_tracing.simulation import simulate
 from containers.ray_tracing.twin.columns import CAMERA_COLUMNS, COLUMNS
@@ -30,8 +31,8 @@ from luxloop.words import parse
 
 Fetch = Callable[[str, int], bytes]
 
-HELD_FILMS = 64
-"""Film tables kept unpacked, some 200 kB each."""
+HELD_FILM_BYTES = 128 << 20
+"""Of film tables that are kept unpacked: some 200 kB each, up to 64 MB; the latest is kept in any case."""
 MOST_THREADS = 1024
 
 
@@ -49,7 +50,7 @@ class RayComputation:
         self._fetch, self._source, self._threads = fetch, source, threads
         self._catalogue = catalogue or Catalogue()
         self._predictor = Predictor(source, threads)
-        self._films: OrderedDict[str, FilmTable] = OrderedDict()
+        self._films = Kept[tuple[FilmTable, int]](HELD_FILM_BYTES, lambda one: one[1])
 
     def catalogue(self) -> dict[str, Any]:
         """What can be asked, and which effects are known."""
@@ -89,12 +90,12 @@ class RayComputation:
 
     def film(self, film: Film) -> FilmTable:
         """The table of that hash, of those held or from who has it; RemoteError not_found where nobody has."""
-        if film.sha256 not in self._films:
-            self._films[film.sha256] = FilmTable.from_parts(*unpack(self._fetched(film)))
-            if len(self._films) > HELD_FILMS:
-                self._films.popitem(last=False)
-        self._films.move_to_end(film.sha256)
-        return self._films[film.sha256]
+        return self._films.of(film.sha256, float(film.bytes), partial(self._unpacked, film))[0]
+
+    def _unpacked(self, film: Film) -> tuple[FilmTable, int]:
+        """The table and its size."""
+        packed = self._fetched(film)
+        return FilmTable.from_parts(*unpack(packed)), len(packed)
 
     def _fetched(self, film: Film) -> bytes:
         try:

@@ -264,6 +264,16 @@ def test_bits_do_not_depend_on_what_was_asked_before(monkeypatch: pytest.MonkeyP
     same(ask(anchored, of), cold_anchored)
 
 
+def test_fields_are_kept_as_far_as_there_is_memory(source: ExitSource, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Those of large modules have 150 MB each; a request that needs more than are kept is answered the same."""
+    wanted = request(shot(), shot(NINE), shot(), anchor={"histories": HISTORIES})
+    plenty, little = worker(source), worker(source)
+    monkeypatch.setattr(little._predictor._fields, "_most", 1.0)
+    same(ask(wanted, plenty), ask(wanted, little))
+    assert (len(plenty._predictor._fields), len(little._predictor._fields)) == (2, 1)
+    assert plenty._predictor._fields._most == predictor_module.HELD_BYTES
+
+
 def test_an_anchor_is_kept_for_its_own_requests(source: ExitSource) -> None:
     """Whatever decides it makes another: one worker answers as one that never saw the others."""
     of, plain = worker(source), {"histories": HISTORIES, "stored_exits": True}

@@ -70,9 +70,9 @@ def ask(computation: RayComputation, asked: RayRequest) -> dict[str, Any]:
 
 
 def test_a_film_is_fetched_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Held unpacked afterwards; the least recently used goes when there are too many."""
-    monkeypatch.setattr(worker_module, "HELD_FILMS", 2)
+    """Held unpacked afterwards; the least recently used goes when they take too much memory."""
     raws = {pairs: packed(pairs) for pairs in (0.5, 1.0, 1.5)}
+    monkeypatch.setattr(worker_module, "HELD_FILM_BYTES", sum(map(len, raws.values())) - 1)
     shelf = Shelf(*raws.values())
     computation = RayComputation(shelf.fetch, ExitSource())
     for pairs, fetched in ((0.5, 1), (1.0, 2), (0.5, 2), (1.5, 3), (0.5, 3), (1.0, 4)):
