@@ -26,6 +26,8 @@ Real = NDArray[np.float64]
 
 MOFFAT_MARGIN_PX, MOFFAT_LARGEST_PX = 48, 12.0
 """How far beyond the image the wings of a Moffat PSF look (fixed, so that the image is smooth in its width)."""
+GAUSSIAN_LARGEST_PX = 200.0
+"""Of a Gaussian's standard deviation: the widest there is, 200 um, by pixels of 1 um on the receiver."""
 MOFFAT = {"moffat2.5": (1.0, 1.0), "moffat3.5": (1.0, 1.0, 1.0 / 3.0), "moffat4.5": (1.0, 1.0, 2.0 / 5.0, 1.0 / 15.0)}
 """Polynomials of q = alpha k that, times exp(-q), are the transform of (1 + r^2 / alpha^2)^-beta."""
 
@@ -162,12 +164,22 @@ def blurs_px(camera: Camera) -> list[tuple[str, float]]:
 
 
 def margin_px(camera: Camera) -> int:
-    """How many pixels beyond the image its PSFs need to see; InputError where a Moffat would need too many."""
+    """How many pixels beyond the image its PSFs need to see; InputError where they would need too many."""
     return sum(_reach_px(psf, sd_px, camera) for psf, sd_px in blurs_px(camera))
+
+
+def seen_px(camera: Camera) -> int:
+    """How many pixels are computed for an image: its own and those beyond it that its PSFs need to see."""
+    beyond = 2 * margin_px(camera)
+    return (camera.rows + beyond) * (camera.columns + beyond)
 
 
 def _reach_px(psf: str, sd_px: float, camera: Camera) -> int:
     if psf not in MOFFAT:
+        if sd_px > GAUSSIAN_LARGEST_PX:
+            least_um = sd_px / GAUSSIAN_LARGEST_PX * camera.pixel_um
+            allowed = f"{least_um:.3g} um or more with a blur of {sd_px:.3g} pixels"
+            raise InputError("pixel_um", camera.pixel_um, allowed, "pixel_um is in um on the receiver, as is psf_um")
         return int(np.ceil(7.0 * sd_px)) + 6
     if sd_px > MOFFAT_LARGEST_PX:
         um = camera.pixel_um / (1.0 + camera.magnification_error)

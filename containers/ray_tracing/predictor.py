@@ -17,6 +17,7 @@ import numpy as np
 from containers.acting import Effects
 from containers.effect import Real
 from containers.ray_tracing.build import cell_of, scene_of
+from containers.ray_tracing.camera import seen_px
 from containers.ray_tracing.exit_source import BATCH, ExitSource
 from containers.ray_tracing.exits import Exits, scene_key
 from containers.ray_tracing.field import Field
@@ -42,6 +43,7 @@ from containers.ray_tracing.twin.prediction import (
 )
 from containers.scene import Array, Cell, Scene
 from containers.thin_film.table import FilmTable
+from luxloop.camera import Camera
 from luxloop.computation import Progress
 from luxloop.effect import did_you_mean, refuse_twice
 from luxloop.errors import InputError
@@ -336,6 +338,20 @@ def _refuse_too_much(request: PredictionRequest) -> None:
     if pixels * times > MOST_VALUES:
         mend = "fewer pixels or columns at once: ask in parts"
         raise InputError("shots", f"{pixels} pixels x {times} images of each", f"a product up to {MOST_VALUES}", mend)
+    at = () if request.anchor is None else request.anchor.shots or ()
+    for where, shots in (("shots", request.shots), ("anchor.shots", at)):
+        for number, shot in enumerate(shots):
+            with named(f"{where}.{number}.camera"):
+                _refuse_wide_view(shot.camera, 1 if request.anchor is None else GROUPS)
+
+
+def _refuse_wide_view(camera: Camera, groups: int) -> None:
+    """InputError where an image, with what its blurs see beyond it, is too large to be held for each group."""
+    seen = seen_px(camera)
+    if seen * groups > MOST_VALUES:
+        value = f"{camera.pixel_um:g}: {seen} pixels are seen by blurs"
+        mend = "pixel_um is in um on the receiver; else fewer pixels, or less blur"
+        raise InputError("pixel_um", value, f"{MOST_VALUES // groups} pixels of {groups} groups", mend)
 
 
 def _shots(wanted: Sequence[ShotRequest], where: str, means: Means) -> list[Shot]:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from containers.acting import NONE, Effects
-from containers.ray_tracing.camera import irradiance_image, pixels, receiver_points, response
+from containers.ray_tracing.camera import irradiance_image, pixels, receiver_points, response, seen_px
 from containers.ray_tracing.field import CellField, Field
 from containers.ray_tracing.light_map import LightMap
 from containers.ray_tracing.tally import Box
@@ -31,6 +31,8 @@ MOST_SAMPLES = 2048
 """Along an axis."""
 MOST_PIXELS = 1 << 24
 """Of all images of a request together."""
+MOST_SEEN = 2 * MOST_PIXELS
+"""The same with what their blurs see beyond them."""
 
 
 def images_of(
@@ -70,6 +72,10 @@ def refuse_too_many(cameras: Sequence[Camera]) -> None:
     total = sum(camera.rows * camera.columns for camera in cameras)
     if total > MOST_PIXELS:
         raise InputError("images", f"{total} pixels", f"at most {MOST_PIXELS} in all images", "ask in parts")
+    seen = sum(map(seen_px, cameras))
+    if seen > MOST_SEEN:
+        value, mend = f"{seen} pixels are seen by blurs", "pixel_um is in um on the receiver; else ask in parts"
+        raise InputError("images", value, f"at most {MOST_SEEN}", mend)
 
 
 def _digital(signal: Real, error: Real, camera: Camera, effects: Effects) -> tuple[Real, Real]:

@@ -146,10 +146,11 @@ def test_maps_that_are_none_are_refused(values: Any, origin: Any, step: float, b
         ({"rows": 200, "columns": 200, "rotation_deg": 45.0}, "inside the map"),
         ({"centre_px": (0.0, 200.0)}, "x of pixels"),
         ({"psf": "moffat2.5", "psf_um": 97.0}, "psf_um.*0 to 96 um"),
+        ({"pixel_um": 0.008, "psf_um": 8.0}, "pixel_um: got 0.008, allowed: 0.04 um or more.*in um on the receiver"),
     ],
 )
 def test_images_that_the_map_cannot_fill_are_refused_with_the_range(off: dict[str, Any], named: str) -> None:
-    """Pixels beyond the map, a Moffat with more wings than the window around the image."""
+    """Pixels beyond the map, a Moffat with more wings than the window around the image, mm that were taken for um."""
     with pytest.raises(InputError, match=named):
         expected_image(spot(8.0), Camera(**off))
 

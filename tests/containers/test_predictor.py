@@ -399,6 +399,12 @@ BAD: list[tuple[dict[str, Any], str, str]] = [
         "shots.0.receiver_reflectance",
         "leave the column out",
     ),
+    ({"shots": [shot(), shot(camera__pixel_um=0.008, camera__psf_um=8.0)]}, "shots.1.camera.pixel_um", "is in um on"),
+    (
+        {"shots": [shot(camera__pixel_um=0.1, camera__psf_um=15.0)], "anchor": {"histories": 1}},
+        "shots.0.camera.pixel_um",
+        "is in um on the receiver",
+    ),
     ({"anchor": {"shots": [shot()], "histories": 1}}, "anchor.shots", "in the same order"),
     ({"anchor": {"shots": [shot(), shot(WALLED)], "histories": 1}}, "anchor.shots.1.array.wall_reflectance", ""),
     ({"anchor": {"shots": [OTHER_SIZE, OTHER_SIZE], "histories": 1}}, "anchor.shots", "one for each of the wanted"),

@@ -335,6 +335,8 @@ def test_the_twin_agrees_with_monte_carlo(array: dict[str, int] | None) -> None:
         ({"method": "twin", "histories": None, "target_error_points": 1.0}, "histories"),
         ({"method": "twin", "array": {"rows": 2, "columns": 2, "wall_reflectance": 0.5}}, "layout"),
         ({"images": [{"rows": 4096, "columns": 4096}] * 2}, "images"),
+        ({"images": [{"rows": 4096, "columns": 4096, "pixel_um": 1.0, "psf_um": 200.0}]}, "images"),
+        ({"images": [{"pixel_um": 0.008, "psf_um": 8.0}]}, "pixel_um"),
         ({"images": [{"rows": 4096, "columns": 16, "pixel_um": 900.0}]}, "images"),
         ({"array": {"rows": 2, "columns": 2, "power": [1.0]}}, "array.power"),
         ({"array": {"rows": 1, "columns": 2, "offset_um": [[0.0, 0.0]]}}, "array.offset_um"),
