@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -32,6 +33,9 @@ Side = Literal["inside", "outside"]
 SIDES: tuple[Side, Side] = ("inside", "outside")
 VERSION = 2
 ARRAYS = ("u", "first", "wavelength_nm", "weight", "n_inside", "n_outside", "T")
+NUMBERS = ("excess", "error_average_ratio", "error_single_ratio")
+MOST = 1e300
+"""Of a number in a header: below it all are finite."""
 
 
 class Powers(NamedTuple):
@@ -150,12 +154,14 @@ class FilmTable:
             raise InputError("version", header.get("version"), f"{VERSION}", "compute the table again")
         if not set(ARRAYS) <= set(arrays) <= {*ARRAYS, *LOSS_NAMES}:
             raise InputError("arrays", sorted(arrays), f"{', '.join(ARRAYS)} and losses", "compute the table again")
-        grid, breaks, first = parse(Grid, header["grid"]), tuple(header["breaks"]), arrays["first"]
+        _refuse_other_kinds(header, arrays)
+        grid, breaks, first = parse(Grid, header["grid"]), tuple(map(float, header["breaks"])), arrays["first"]
         segment_cells = (first.size - grid.shared_nodes) // max(1, len(breaks) - 1)
         cells = grid.shared_nodes - 1 + segment_cells * (len(breaks) - 1)
-        if first.size != cells + 1 or not (np.diff(first) > 0).all() or first[-1] + 1 != arrays["u"].size:
+        counted = first.size == cells + 1 and (segment_cells > 0 or len(breaks) == 1)
+        if not counted or first[0] != 0 or not (np.diff(first) > 0).all() or first[-1] + 1 != arrays["u"].size:
             raise InputError("first", f"{first.size} numbers", "the nodes of a table", "compute the table again")
-        return cls(
+        found = cls(
             stack=parse(Stack, header["stack"]),
             spectrum=parse(Spectrum, header["spectrum"]),
             grid=grid,
@@ -166,6 +172,41 @@ class FilmTable:
             error_average_ratio=header["error_average_ratio"],
             error_single_ratio=header["error_single_ratio"],
         )
+        found._refuse_other_shapes()
+        return found
+
+    def _refuse_other_shapes(self) -> None:
+        """InputError where the arrays are not of the nodes and wavelengths that they say."""
+        count = max(self.wavelength_nm.size, 1)
+        for name in ("wavelength_nm", "weight", "n_inside", "n_outside"):
+            _refuse_shape(name, getattr(self, name), (count,))
+        _refuse_shape("u", self.u, (self.u.size,))
+        _refuse_shape("T", self.T, (count, 2, self.axis.shared_nodes))
+        for side in SIDES:
+            for name in {f"{name}_{side}" for name in LOSSES} & set(self.losses):
+                _refuse_shape(name, self.losses[name], (count, 2, self.nodes(side)))
+
+
+def _refuse_shape(name: str, array: NDArray[Any], shape: tuple[int, ...]) -> None:
+    if array.shape != shape:
+        raise InputError("film", f"{name} of shape {array.shape}", f"{shape}", "compute the table again")
+
+
+def _refuse_other_kinds(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> None:
+    """InputError where the header lacks something, or something is of another kind than in a table."""
+    breaks = header.get("breaks")
+    listed: list[Any] = [0.0, *breaks] if isinstance(breaks, list | tuple) and breaks else [None]
+    numbers = [*listed, *(header.get(name) for name in NUMBERS)]
+    known = all(isinstance(one, float | int) and abs(one) < MOST for one in numbers)
+    known = known and all(low < high for low, high in pairwise(listed))
+    if not known or not {"stack", "spectrum", "grid"} <= set(header):
+        allowed = f"stack, spectrum, grid, breaks, {', '.join(NUMBERS)}"
+        raise InputError("film", f"a header of {', '.join(sorted(header))}", allowed, "compute the table again")
+    for name, array in arrays.items():
+        kind = "i" if name == "first" else "f"
+        if array.dtype.kind != kind or (name == "first" and array.ndim != 1) or not np.isfinite(array).all():
+            found = f"{name} of {array.dtype.str}, {array.ndim} axes"
+            raise InputError("film", found, "finite numbers of a table", "compute the table again")
 
 
 def film_table(stack: Stack, spectrum: Spectrum | None = None, grid: Grid | None = None) -> FilmTable:

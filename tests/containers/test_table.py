@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -383,3 +384,37 @@ def test_few_wavelengths_average_the_default_line(wavelengths: int, error: float
         u = few.u[:: few.u.size // 20]
         R = [table.at(table.average("inside").R, u[:12]) for table in (few, many)]
         np.testing.assert_allclose(R[0], R[1], atol=error)
+
+
+HEADER, ARRAYS = TABLE.to_parts()
+
+
+@pytest.mark.parametrize(
+    ("header", "arrays"),
+    [
+        ({"grid": ...}, {}),
+        ({"stack": ...}, {}),
+        ({"excess": ...}, {}),
+        ({"excess": "much"}, {}),
+        ({"breaks": 3}, {}),
+        ({"breaks": []}, {}),
+        ({"breaks": ["a", "b"]}, {}),
+        ({"breaks": HEADER["breaks"][::-1]}, {}),
+        ({}, {"first": ARRAYS["first"][:0]}),
+        ({}, {"first": ARRAYS["first"][None]}),
+        ({}, {"first": ARRAYS["first"].astype(float)}),
+        ({}, {"T": ARRAYS["T"][..., :-1]}),
+        ({}, {"T": ARRAYS["T"][0]}),
+        ({}, {"T": np.full_like(ARRAYS["T"], np.nan)}),
+        ({}, {"u": ARRAYS["u"][:, None]}),
+        ({}, {"weight": ARRAYS["weight"][1:]}),
+        ({}, {name: ARRAYS[name][:0] for name in ("wavelength_nm", "weight", "n_inside", "n_outside", "T")}),
+        ({}, {"A_inside": ARRAYS["A_inside"][..., 1:]}),
+    ],
+)
+def test_malformed_parts_are_bad_input_and_no_crash(header: dict[str, Any], arrays: dict[str, Any]) -> None:
+    """A crash is tried again on three workers."""
+    changed = {name: value for name, value in (HEADER | header).items() if value is not ...}
+    with pytest.raises(InputError, match="compute the table again") as caught:
+        FilmTable.from_parts(changed, ARRAYS | arrays)
+    assert caught.value.field in ("film", "first")
