@@ -127,7 +127,7 @@ def spot_of(request: FilmTableRequest | FilmMeasurementRequest, effects: Effects
 def _measure(
     request: FilmMeasurementRequest, spot: tuple[tuple[float, Stack], ...], effects: Effects
 ) -> tuple[dict[str, Any], Mapping[str, Array]]:
-    """What the instrument reads, its own effects last."""
+    """What the instrument reads, its own effects last; InputError where there is nothing to read."""
     lies: Spot = spot
     if request.stack is not None and effects.makes_media:
         lies = tuple((share, _with_media(stack, effects)) for share, stack in spot)
@@ -140,6 +140,11 @@ def _measure(
         request.bandwidth_nm,
         request.from_side,
     )
+    dark = np.argwhere(np.isnan(value))
+    if dark.size:
+        wavelength_nm, aoi_deg = request.wavelength_nm[dark[0, 0]], request.aoi_deg[dark[0, 1]]
+        asked = f"{request.quantity} at {wavelength_nm:g} nm and {aoi_deg:g} deg"
+        raise InputError("quantity", asked, "of light that is reflected: none is there", "leave that place out")
     reading = Reading(
         request.quantity, np.array(request.wavelength_nm), np.array(request.aoi_deg), request.polarisation
     )

@@ -203,6 +203,36 @@ def test_a_material_out_of_range_names_range_and_mend(computation: FilmComputati
     assert "1449" in caught.value.allowed
 
 
+@pytest.mark.parametrize(
+    "effects",
+    [
+        (),
+        (
+            AppliedEffect(
+                name="film_baseline_offset",
+                parameters={
+                    "offset_percent": 0.0,
+                    "azimuth_deg": 1.0,
+                    "retardance_deg": 0.0,
+                },
+            ),
+        ),
+    ],
+    ids=["bare", "with an effect"],
+)
+def test_where_nothing_is_reflected_an_ellipsometer_has_nothing_to_read(
+    computation: FilmComputation, effects: tuple[AppliedEffect, ...]
+) -> None:
+    """Air on air: it had been a crash of three workers one after the other, or the effect's fault."""
+    stack = Stack(inside=Medium(n=1.0), outside=Medium(n=1.0))
+    request = FilmMeasurementRequest(
+        stack=stack, quantity="psi", wavelength_nm=(445.0, 500.0), aoi_deg=(30.0,), effects=effects
+    )
+    with pytest.raises(InputError, match=r"psi at 445 nm and 30 deg.*reflected") as caught:
+        ask(computation, request)
+    assert caught.value.field == "quantity"
+
+
 @pytest.fixture(scope="module")
 def film_set(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Client]:
     """A client of a set that it starts itself: router, controller, one thin-film worker."""
