@@ -12,6 +12,7 @@ and a table is interpolated linearly, as its source's own reader does. Nothing i
 from __future__ import annotations
 
 import difflib
+import hashlib
 import tomllib
 from dataclasses import dataclass
 from functools import cache
@@ -44,6 +45,8 @@ class Material:
     coefficients: tuple[float, ...]
     table: NDArray[np.float64]
     """(rows, 3): wavelength in nm, n, k; empty where there is a formula."""
+    sha256: str
+    """Of its file."""
 
     def index(self, wavelength_nm: ArrayLike) -> NDArray[np.complex128]:
         """Complex index n + ik at each vacuum wavelength, in the shape of `wavelength_nm`.
@@ -104,7 +107,8 @@ def _near(name: str) -> list[str]:
 
 @cache
 def _load(name: str) -> Material:
-    data = tomllib.loads((DATA / f"{name}.toml").read_text(encoding="utf-8"))
+    raw = (DATA / f"{name}.toml").read_bytes()
+    data = tomllib.loads(raw.decode())
     low, high = data["range_nm"]
     table = np.array(data.get("table", []), dtype=float).reshape(-1, 3)
     table.flags.writeable = False
@@ -119,6 +123,7 @@ def _load(name: str) -> Material:
         formula=data.get("formula", "table"),
         coefficients=tuple(data.get("coefficients", ())),
         table=table,
+        sha256=hashlib.sha256(raw).hexdigest(),
     )
 
 

@@ -12,7 +12,7 @@ from pydantic import ValidationError
 from containers.acting import Effects
 from containers.catalogue import Catalogue, told
 from containers.effect import Reading
-from containers.materials import list_materials
+from containers.materials import list_materials, material
 from containers.stack import dbr_of, resolve
 from containers.thin_film import warm_up
 from containers.thin_film.database import FilmDatabase, open_database
@@ -89,7 +89,10 @@ class FilmComputation:
 
 
 def table_key(request: FilmTableRequest, stack: Stack) -> str:
-    """SHA-256 of all that decides a table: the stack as it is computed, line, grid, and the physics' version."""
+    """SHA-256 of all that decides a table: the stack as it is computed, the data of its materials, line, grid, and
+    the physics' version."""
+    media = stack.inside, *(layer.medium for layer in stack.layers), stack.outside
+    data = {name: material(name).sha256 for name in {one.material for one in media} if name is not None}
     return sha256_of(
         {
             "stack": stack.model_dump(mode="json"),
@@ -97,6 +100,7 @@ def table_key(request: FilmTableRequest, stack: Stack) -> str:
             "grid": request.grid.model_dump(mode="json"),
             "version": VERSION,
         }
+        | ({"materials": data} if data else {})
     )
 
 

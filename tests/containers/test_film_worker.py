@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import sqlite3
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,10 +13,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from containers import materials
+from containers.stack import dbr_of
 from containers.thin_film.database import open_database
 from containers.thin_film.packing import unpack
 from containers.thin_film.table import FilmTable
-from containers.thin_film.worker import DATABASE, FilmComputation
+from containers.thin_film.worker import DATABASE, FilmComputation, table_key
 from luxloop.client import Client
 from luxloop.computation import Progress
 from luxloop.effect import AppliedEffect
@@ -231,6 +234,26 @@ def test_where_nothing_is_reflected_an_ellipsometer_has_nothing_to_read(
     with pytest.raises(InputError, match=r"psi at 445 nm and 30 deg.*reflected") as caught:
         ask(computation, request)
     assert caught.value.field == "quantity"
+
+
+def test_a_table_of_other_material_data_is_another(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """After GaN's data were corrected the table of the old ones is not found; a fixed index has no data."""
+    requests = [table_request(5.5, indices=indices) for indices in ("dispersive", "fixed")]
+
+    def keys() -> list[str]:
+        materials._load.cache_clear()
+        return [table_key(one, dbr_of(one.environment or Environment(), 5.5)) for one in requests]
+
+    before = keys()
+    shutil.copytree(materials.DATA, tmp_path / "data")
+    monkeypatch.setattr(materials, "DATA", tmp_path / "data")
+    assert keys() == before
+    with (tmp_path / "data" / "GaN.toml").open("a") as file:
+        file.write("# corrected\n")
+    dispersive, fixed = keys()
+    assert dispersive != before[0]
+    assert fixed == before[1]
+    materials._load.cache_clear()
 
 
 @pytest.fixture(scope="module")
