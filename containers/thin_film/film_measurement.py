@@ -13,15 +13,16 @@ its terms say the same: it errs by less than 2e-6 in R for films of 0.1 to 200 u
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
-from itertools import zip_longest
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from containers.checked import wavelengths_nm, within
 from containers.mixing import with_interlayer
+from containers.reporting import Report, nothing
 from containers.stack import StackRows, resolve
 from containers.thin_film.ellipsometry import ncs_of_light, psi_delta_deg
 from containers.thin_film.incoherent import Light, flipped, respond
@@ -40,11 +41,18 @@ Polarisation = Literal["s", "p", "u"]
 Side = Literal["outside", "inside"]
 
 FWHM_PER_SIGMA = 2.3548200450309493
+LIGHT = ("R", "T", "ps")
+"""What `Light` holds."""
 LINE_SIGMAS = 5.0
 """The instrument's line is cut here: 6e-7 of its area lies beyond."""
 
 MAX_LINE_NODES = 4001
 HALVES_DIFFER = 1e-3
+
+BLOCK = 100_000
+"""Wavelengths x angles that are worked on at a time."""
+HELD_BYTES = 256 << 20
+"""Of the light at a line's wavelengths, for when more are put between them; what is beyond is computed again."""
 
 
 def measure(
@@ -55,6 +63,7 @@ def measure(
     polarisation: Polarisation = "u",
     bandwidth_nm: float = 0.0,
     from_side: Side = "outside",
+    report: Report = nothing,
 ) -> Real:
     """R or T (share of the incident power), psi or delta (degrees) as (wavelength, aoi).
 
@@ -68,6 +77,7 @@ def measure(
     polarisation : "s", "p" or "u" = unpolarised, the mean of both; "u" for psi and delta, which need both.
     bandwidth_nm : full width at half maximum of the instrument's line, 0 = monochromatic.
     from_side : "outside" (air of a chip, where an instrument stands) or "inside".
+    report : called before each block of each wavelength of the line; what it raises ends the measurement.
 
     Raises
     ------
@@ -84,9 +94,9 @@ def measure(
     if quantity in ("psi", "delta"):
         if polarisation != "u":
             raise InputError("polarisation", polarisation, "'u' for psi and delta", "leave it out: both are needed")
-        psi, delta = psi_delta_deg(measure_ncs(stack, wavelength_nm, aoi_deg, bandwidth_nm, from_side))
+        psi, delta = psi_delta_deg(measure_ncs(stack, wavelength_nm, aoi_deg, bandwidth_nm, from_side, report))
         return psi if quantity == "psi" else delta
-    light = _light(stack, wavelength_nm, aoi_deg, bandwidth_nm, from_side)
+    light = _light(stack, wavelength_nm, aoi_deg, bandwidth_nm, from_side, report)
     power = light.R if quantity == "R" else light.T
     mean: Real = power.mean(axis=1)
     return mean if polarisation == "u" else power[:, "sp".index(polarisation)]
@@ -98,9 +108,10 @@ def measure_ncs(
     aoi_deg: ArrayLike,
     bandwidth_nm: float = 0.0,
     from_side: Side = "outside",
+    report: Report = nothing,
 ) -> Real:
     """N, C, S of the reflected light as (3, wavelength, aoi); parameters and errors as those of `measure`."""
-    return ncs_of_light(_light(stack, wavelength_nm, aoi_deg, bandwidth_nm, from_side, ellipsometry=True))
+    return ncs_of_light(_light(stack, wavelength_nm, aoi_deg, bandwidth_nm, from_side, report, ellipsometry=True))
 
 
 def interlayer(stack: Stack | RowsAt, face: int, thickness_nm: float, share_outer: float = 0.5) -> RowsAt:
@@ -115,12 +126,17 @@ def _light(
     aoi_deg: ArrayLike,
     bandwidth_nm: float,
     from_side: Side,
+    report: Report,
     ellipsometry: bool = False,
 ) -> Light:
     """The instrument's average of the intensities."""
     if isinstance(stack, tuple):
-        parts = [_light(one, wavelength_nm, aoi_deg, bandwidth_nm, from_side, ellipsometry) for _, one in stack]
-        return _sum(parts, np.array([share for share, _ in stack]))
+        asked = wavelength_nm, aoi_deg, bandwidth_nm, from_side, report, ellipsometry
+        parts = [_light(one, *asked) for _, one in stack]
+        whole = _Sum()
+        for (share, _), part in zip(stack, parts, strict=True):
+            whole.add(share, part)
+        return whole.light
     wavelength, sine = wavelengths_nm(wavelength_nm), np.sin(np.radians(_angles_deg(aoi_deg)))
     _one_of("from_side", from_side, Side)
     rows_at = rows_function(stack)
@@ -130,43 +146,99 @@ def _light(
         if ellipsometry and np.any(rows.index[:, -1].imag > 0.0):
             worst = complex(rows.index[np.argmax(rows.index[:, -1].imag), -1])
             raise InputError(from_side, worst, "k = 0 for psi and delta", "measure from a medium that is clear")
-        return respond(rows, rows.index[:, -1].real[:, None] * sine)
+        return _by_blocks(rows, sine, report)
 
     if bandwidth_nm == 0.0:
         return at(wavelength)
     sigma_nm = bandwidth_nm / FWHM_PER_SIGMA
-    offsets = np.linspace(-LINE_SIGMAS, LINE_SIGMAS, _line_nodes(rows_at(wavelength), wavelength, bandwidth_nm))
-    parts = [at(wavelength + sigma_nm * offset) for offset in offsets]
-    while (differ := _halves_differ(parts, offsets)) > HALVES_DIFFER and 2 * offsets.size - 1 <= MAX_LINE_NODES:
-        between = (offsets[1:] + offsets[:-1]) / 2.0
-        new = [at(wavelength + sigma_nm * offset) for offset in between]
-        parts = [part for pair in zip_longest(parts, new) for part in pair if part is not None]
-        offsets = np.linspace(-LINE_SIGMAS, LINE_SIGMAS, 2 * offsets.size - 1)
+    nodes = _line_nodes(rows_at(wavelength), wavelength, bandwidth_nm)
+    line = _Line(lambda offset: at(wavelength + sigma_nm * offset), nodes)
+    while (differ := line.average()) > HALVES_DIFFER and 2 * line.nodes - 1 <= MAX_LINE_NODES:
+        line.refine()
     if differ > HALVES_DIFFER:
-        allowed = f"{MAX_LINE_NODES} wavelengths that resolve the film; half of {offsets.size} differ by {differ:.1e}"
+        allowed = f"{MAX_LINE_NODES} wavelengths that resolve the film; half of {line.nodes} differ by {differ:.1e}"
         raise InputError("bandwidth_nm", bandwidth_nm, allowed, "ask for a narrower line")
-    return _averaged(parts, offsets)
+    return line.whole
 
 
-def _halves_differ(parts: list[Light], offsets: Real) -> float:
-    """By how much R or T of every second wavelength of a line differ from those of all.
+def _by_blocks(rows: StackRows, sine: Real, report: Report) -> Light:
+    """The light at some wavelengths and all angles: a block of wavelengths at a time, for `solve` needs much room."""
+    width = max(1, BLOCK // sine.size)
+    parts = []
+    for block in (slice(start, start + width) for start in range(0, rows.wavelength_nm.size, width)):
+        report()
+        some = replace(rows, wavelength_nm=rows.wavelength_nm[block], index=rows.index[block])
+        parts.append(respond(some, some.index[:, -1].real[:, None] * sine))
+    if len(parts) == 1:
+        return parts[0]
+    return Light(*(np.concatenate([getattr(part, name) for part in parts]) for name in LIGHT))
 
-    For fringes and resonances alike the error of all is about the square of that: 1e-6 for `HALVES_DIFFER`.
-    """
-    whole, half = _averaged(parts, offsets), _averaged(parts[::2], offsets[::2])
-    return max(float(np.abs(whole.R - half.R).max()), float(np.abs(whole.T - half.T).max()))
+
+class _Line:
+    """Averages over an instrument's Gaussian line; `at` gives the light at an offset in standard deviations."""
+
+    def __init__(self, at: Callable[[float], Light], nodes: int) -> None:
+        self._at, self._held, self._held_bytes = at, dict[float, Light](), 0
+        self._offsets = self._places = np.linspace(-LINE_SIGMAS, LINE_SIGMAS, nodes)
+
+    @property
+    def nodes(self) -> int:
+        """How many wavelengths it has."""
+        return int(self._offsets.size)
+
+    def average(self) -> float:
+        """Set `whole`, the average over all wavelengths; by how much R or T of every second one differ from it.
+
+        For fringes and resonances alike the error of all is about the square of that: 1e-6 for `HALVES_DIFFER`.
+        """
+        of_whole, of_half = _weights(self._offsets), _weights(self._offsets[::2])
+        whole, half = _Sum(), _Sum()
+        for number, place in enumerate(self._places):
+            part = self._light(float(place))
+            whole.add(of_whole[number], part)
+            if number % 2 == 0:
+                half.add(of_half[number // 2], part)
+        self.whole, every_second = whole.light, half.light
+        differ = (np.abs(getattr(self.whole, name) - getattr(every_second, name)).max() for name in ("R", "T"))
+        return max(map(float, differ))
+
+    def refine(self) -> None:
+        """Put a wavelength between every two."""
+        places = np.empty(2 * self.nodes - 1)
+        places[::2], places[1::2] = self._places, (self._offsets[1:] + self._offsets[:-1]) / 2.0
+        self._places, self._offsets = places, np.linspace(-LINE_SIGMAS, LINE_SIGMAS, places.size)
+
+    def _light(self, place: float) -> Light:
+        """The light at a place, held where there is room."""
+        light = self._held.get(place)
+        if light is None:
+            light = self._at(place)
+            size = sum(getattr(light, name).nbytes for name in LIGHT)
+            if self._held_bytes + size <= HELD_BYTES:
+                self._held[place], self._held_bytes = light, self._held_bytes + size
+        return light
 
 
-def _averaged(parts: list[Light], offsets: Real) -> Light:
-    """The average of intensities with Gaussian weights, offsets in standard deviations."""
+class _Sum:
+    """Intensities times weights, added one after the other."""
+
+    def __init__(self) -> None:
+        self._total: list[Any] = [0.0] * len(LIGHT)
+
+    def add(self, weight: float, light: Light) -> None:
+        """One more."""
+        self._total = [total + weight * getattr(light, name) for total, name in zip(self._total, LIGHT, strict=True)]
+
+    @property
+    def light(self) -> Light:
+        """The sum so far."""
+        return Light(*map(np.asarray, self._total))
+
+
+def _weights(offsets: Real) -> Real:
+    """Gaussian weights of sum 1, offsets in standard deviations."""
     weights = np.exp(-(offsets**2) / 2.0)
-    return _sum(parts, weights / weights.sum())
-
-
-def _sum(parts: list[Light], weights: Real) -> Light:
-    """Intensities times weights, added."""
-    fields = ([getattr(part, name) for part in parts] for name in ("R", "T", "ps"))
-    return Light(*(np.asarray(sum(w * value for w, value in zip(weights, of, strict=True))) for of in fields))
+    return np.asarray(weights / weights.sum())
 
 
 def _line_nodes(rows: StackRows, wavelength: Real, bandwidth_nm: float) -> int:

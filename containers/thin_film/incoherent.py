@@ -99,7 +99,7 @@ def respond(rows: StackRows, u: Real) -> Light:
         R = _with_cross(group.R_outside, group.r_outside)
         R = R + _with_cross(np.abs(to_and_fro) ** 2, to_and_fro) * below * echoes
         T = group.T * P * T * echoes[:, :2].real
-    return Light(R[:, :2].real, T, R[:, 2])
+    return Light(R[:, :2].real.copy(), T.copy(), R[:, 2].copy())  # views would keep all that `solve` found
 
 
 def _solve(group: StackRows, u: Real) -> StackResponse:

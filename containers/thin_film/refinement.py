@@ -27,6 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from containers.compiled import kernel
+from containers.reporting import Report, nothing
 from containers.stack import StackRows, resolve
 from containers.thin_film import lossless
 from containers.thin_film.nodes import Axis, first_axis
@@ -82,27 +83,32 @@ class Errors:
     """Of one wavelength and polarisation between the nodes. Above 0.05 dips are missed, and it is a lower bound."""
 
 
-def refined(stack: Stack, spectrum: Spectrum, grid: Grid) -> tuple[Samples, Errors]:
+def refined(stack: Stack, spectrum: Spectrum, grid: Grid, report: Report = nothing) -> tuple[Samples, Errors]:
     """The powers of a coherent stack, and how far a table of them is wrong; scheme: at the head of this module.
+
+    Parameters
+    ----------
+    report : called before each pass, and within it before each block.
 
     Raises
     ------
-    InputError as `table.film_table`.
+    InputError as `table.film_table`; what the report raises.
     """
-    samples, resolved = _start(stack, spectrum, grid)
+    samples, resolved = _start(stack, spectrum, grid, report)
     margin = MARGIN if len(samples.lost) else 1.0
     while True:
+        report()
         mean = _compared(samples, samples.weight)
         line = _line_error(samples, mean) if resolved else _spread(samples)
         if line > grid.tolerance_ratio and resolved and 2 * samples.values <= MAX_VALUES:
-            samples = _finer_line(samples, stack, spectrum)
+            samples = _finer_line(samples, stack, spectrum, report)
             continue
         parts = interpolation_error(mean, samples.axis) * margin
         cells = np.maximum.reduceat(parts, samples.axis.first[:-1])
         split = _worst_that_fit(cells, samples, grid.tolerance_ratio)
         if not split.any():
             return samples, Errors(max(line, float(cells.max())), margin * _single_error(samples))
-        samples = _finer_nodes(samples, split)
+        samples = _finer_nodes(samples, split, report)
 
 
 def sampled(spectrum: Spectrum, wavelengths: int) -> tuple[Real, Real]:
@@ -115,7 +121,7 @@ def sampled(spectrum: Spectrum, wavelengths: int) -> tuple[Real, Real]:
     return wavelength, weight / weight.sum()
 
 
-def _start(stack: Stack, spectrum: Spectrum, grid: Grid) -> tuple[Samples, bool]:
+def _start(stack: Stack, spectrum: Spectrum, grid: Grid, report: Report) -> tuple[Samples, bool]:
     """Enough wavelengths for the optical path, enough nodes for the phase; whether the wavelengths fitted."""
     wavelength, weight = sampled(spectrum, grid.wavelengths)
     rows = _bulk_without_k(resolve(stack, wavelength))
@@ -128,7 +134,7 @@ def _start(stack: Stack, spectrum: Spectrum, grid: Grid) -> tuple[Samples, bool]
         wavelength, weight = sampled(spectrum, wavelengths)
         rows = _bulk_without_k(resolve(stack, wavelength))
     axis = first_axis(rows, grid, int(np.argmax(weight)), MAX_VALUES // wavelengths)
-    samples = Samples(rows, weight, axis, *_powers(rows, axis.u, lossless.applies(rows)))
+    samples = Samples(rows, weight, axis, *_powers(rows, axis.u, lossless.applies(rows), report))
     return samples, wavelengths >= needed
 
 
@@ -152,22 +158,22 @@ def _bulk_without_k(rows: StackRows) -> StackRows:
     return replace(rows, index=index)
 
 
-def _finer_line(samples: Samples, stack: Stack, spectrum: Spectrum) -> Samples:
+def _finer_line(samples: Samples, stack: Stack, spectrum: Spectrum, report: Report) -> Samples:
     """With a wavelength between every two."""
     wavelength, weight = sampled(spectrum, 2 * samples.weight.size - 1)
     rows = _bulk_without_k(resolve(stack, wavelength))
     between = replace(rows, wavelength_nm=rows.wavelength_nm[1::2], index=rows.index[1::2])
-    T, lost, excess = _powers(between, samples.axis.u, not len(samples.lost))
+    T, lost, excess = _powers(between, samples.axis.u, not len(samples.lost), report)
     new = np.arange(wavelength.size) % 2 == 1
     T, lost = _merged(samples.T, T, new, 0), _merged(samples.lost, lost, new, 1)
     return Samples(rows, weight, samples.axis, T, lost, max(samples.excess, excess))
 
 
-def _finer_nodes(samples: Samples, split: NDArray[np.bool_]) -> Samples:
+def _finer_nodes(samples: Samples, split: NDArray[np.bool_], report: Report) -> Samples:
     """With the parts of some cells (cell,) halved."""
     axis = samples.axis.split(split)
     new = ~np.isin(axis.place, samples.axis.place)  # fractions of two: equal or not
-    T, lost, excess = _powers(samples.rows, axis.u[new], not len(samples.lost))
+    T, lost, excess = _powers(samples.rows, axis.u[new], not len(samples.lost), report)
     T, lost = _merged(samples.T, T, new, -1), _merged(samples.lost, lost, new, -1)
     return replace(samples, axis=axis, T=T, lost=lost, excess=max(samples.excess, excess))
 
@@ -182,7 +188,7 @@ def _merged(old: Floats, new: Floats, is_new: NDArray[np.bool_], axis: int) -> F
     return both
 
 
-def _powers(rows: StackRows, u: Real, smooth: bool) -> tuple[Real, Single, float]:
+def _powers(rows: StackRows, u: Real, smooth: bool, report: Report) -> tuple[Real, Single, float]:
     """T (wavelength, polarisation, u), the losses (6 or 0, ...), and the excess, block by block."""
     if smooth:
         T = np.zeros((rows.wavelength_nm.size, 2, u.size))
@@ -193,6 +199,7 @@ def _powers(rows: StackRows, u: Real, smooth: bool) -> tuple[Real, Single, float
     lost, excess = np.empty((len(LOSS_NAMES), *T.shape), np.float32), 0.0
     width = max(1, _BLOCK // rows.wavelength_nm.size)
     for block in (slice(a, a + width) for a in range(0, u.size, width)):
+        report()
         response = solve(rows.index, rows.thickness_nm, rows.roughness_nm, rows.wavelength_nm, u[block])
         T[..., block] = np.minimum(response.T_inside, response.T_outside)
         for number, name in enumerate(LOSS_NAMES):

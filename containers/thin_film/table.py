@@ -21,6 +21,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from containers.reporting import Report, nothing
 from containers.thin_film.nodes import Axis
 from containers.thin_film.refinement import LOSS_NAMES, LOSSES, Samples, refined
 from luxloop.errors import InputError
@@ -209,10 +210,13 @@ def _refuse_other_kinds(header: Mapping[str, Any], arrays: Mapping[str, NDArray[
             raise InputError("film", found, "finite numbers of a table", "compute the table again")
 
 
-def film_table(stack: Stack, spectrum: Spectrum | None = None, grid: Grid | None = None) -> FilmTable:
+def film_table(
+    stack: Stack, spectrum: Spectrum | None = None, grid: Grid | None = None, report: Report = nothing
+) -> FilmTable:
     """The table of a coherent stack for light of a spectrum (default: 445 nm, FWHM 18 nm) on a grid.
 
-    Smooth, lossless stacks are computed by the real kernel, all others by the general one.
+    Smooth, lossless stacks are computed by the real kernel, all others by the general one. `report` is called between
+    parts of the work; what it raises ends it.
 
     Raises
     ------
@@ -220,7 +224,7 @@ def film_table(stack: Stack, spectrum: Spectrum | None = None, grid: Grid | None
     material, or roughness beyond what the model can describe.
     """
     spectrum, grid = spectrum or Spectrum(), grid or Grid()
-    samples, errors = refined(stack, spectrum, grid)
+    samples, errors = refined(stack, spectrum, grid, report)
     rows, axis = samples.rows, samples.axis
     return FilmTable(
         stack=stack,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from containers.acting import Effects
 from containers.catalogue import Catalogue, told
 from containers.effect import Reading
 from containers.materials import list_materials, material
+from containers.reporting import Report
 from containers.stack import dbr_of, resolve
 from containers.thin_film import warm_up
 from containers.thin_film.database import FilmDatabase, open_database
@@ -60,25 +62,28 @@ class FilmComputation:
             raise as_input_error(error, "film request") from error
         effects = self._catalogue.effects(request.effects, "thin-film")
         spot = spot_of(request, effects)
-        progress.report(0.0, str(spot[0][1])[:100])
+        report = partial(progress.report, 0.0, str(spot[0][1])[:100])
+        report()
         if isinstance(request, FilmMeasurementRequest):
-            result, arrays = _measure(request, spot, effects)
+            result, arrays = _measure(request, spot, effects, report)
         elif len(spot) != 1 or (request.stack is not None and effects.makes_media):
             allowed = "effects from one stack to one stack: a table is of such a one"
             raise InputError("effects", [one.name for one in effects.all], allowed, "ask for a measurement")
         else:
-            result, arrays = self._table(request, spot[0][1])
+            result, arrays = self._table(request, spot[0][1], report)
         idle = [] if request.dbr_pairs is None else effects.without_influence(request.dbr_pairs)
         if isinstance(request, FilmMeasurementRequest) and request.stack is not None:
             idle = effects.idle_on(request.stack, request.wavelength_nm)
         return (result | {"warnings": idle} if idle else result), arrays
 
-    def _table(self, request: FilmTableRequest, stack: Stack) -> tuple[dict[str, Any], Mapping[str, Array]]:
+    def _table(
+        self, request: FilmTableRequest, stack: Stack, report: Report
+    ) -> tuple[dict[str, Any], Mapping[str, Array]]:
         """By its key from the database; computed and kept where it is not there, or no longer what it was."""
         key = table_key(request, stack)
         held = self._database.get(key)
         if held is None:
-            table = film_table(stack, request.spectrum, request.grid)
+            table = film_table(stack, request.spectrum, request.grid, report)
             packed = pack(*table.to_parts())
             sha256 = self._database.put(key, packed)
         else:
@@ -129,7 +134,7 @@ def spot_of(request: FilmTableRequest | FilmMeasurementRequest, effects: Effects
 
 
 def _measure(
-    request: FilmMeasurementRequest, spot: tuple[tuple[float, Stack], ...], effects: Effects
+    request: FilmMeasurementRequest, spot: tuple[tuple[float, Stack], ...], effects: Effects, report: Report
 ) -> tuple[dict[str, Any], Mapping[str, Array]]:
     """What the instrument reads, its own effects last; InputError where there is nothing to read."""
     lies: Spot = spot
@@ -143,6 +148,7 @@ def _measure(
         request.polarisation,
         request.bandwidth_nm,
         request.from_side,
+        report,
     )
     dark = np.argwhere(np.isnan(value))
     if dark.size:

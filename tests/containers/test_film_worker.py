@@ -20,7 +20,7 @@ from containers.thin_film.packing import unpack
 from containers.thin_film.table import FilmTable
 from containers.thin_film.worker import DATABASE, FilmComputation, table_key
 from luxloop.client import Client
-from luxloop.computation import Progress
+from luxloop.computation import Progress, Stopped
 from luxloop.effect import AppliedEffect
 from luxloop.errors import InputError, RemoteError
 from luxloop.film import FilmMeasurementRequest, FilmTableRequest, Grid, Spectrum
@@ -204,6 +204,39 @@ def test_a_material_out_of_range_names_range_and_mend(computation: FilmComputati
     with pytest.raises(InputError) as caught:
         ask(computation, request)
     assert "1449" in caught.value.allowed
+
+
+class Impatient(Progress):
+    """A progress that is stopped at its fourth report."""
+
+    reports = 0
+
+    def report(self, ratio: float, note: str = "") -> None:
+        """Count, and stop."""
+        self.reports += 1
+        if self.reports == 4:
+            self.stop.set()
+        super().report(ratio, note)
+
+
+LOSSY = Stack(
+    inside=Medium(n=2.4869), layers=(Layer(medium=Medium(n=2.2, k=0.01), thickness_nm=800.0),), outside=Medium(n=1.0)
+)
+
+
+@pytest.mark.parametrize(
+    "request_",
+    [
+        FilmMeasurementRequest(stack=LOSSY, quantity="R", wavelength_nm=(445.0,), aoi_deg=(0.0,), bandwidth_nm=5.0),
+        FilmTableRequest(stack=LOSSY, grid=Grid(tolerance_ratio=1e-5)),
+    ],
+    ids=["measurement", "table"],
+)
+def test_a_cancelled_job_ends_while_it_computes(computation: FilmComputation, request_: Any) -> None:
+    """Between the wavelengths of a line or the passes of a table; its worker had been ended ten seconds later."""
+    with pytest.raises(Stopped):
+        computation.compute(json.loads(request_.model_dump_json()), Impatient())
+    assert ask(computation, request_)[1]
 
 
 @pytest.mark.parametrize(
