@@ -219,7 +219,7 @@ def guarded(effect: Effect, hook: Callable[..., Data], *data: object, kind: type
         found = hook(*data)
     except InputError as error:
         raise InputError(f"{where}: {error.field}", error.value, error.allowed, error.mend) from error
-    except Exception as error:  # an effect may be anybody's code; the worker stays unharmed
+    except Exception as error:  # an effect may be anybody's code; its mistakes do not end the worker
         place = traceback.extract_tb(error.__traceback__)[-1]
         raised = f"{type(error).__name__}: {error}"[:300]
         mend = f"line {place.lineno} of {place.filename.rpartition('/')[2]}; try luxloop effects check"

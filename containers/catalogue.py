@@ -22,6 +22,7 @@ from containers import effects as shipped
 from containers.acting import Effects
 from containers.effect import Effect
 from containers.effect_files import Loaded, effects_in, load_folder
+from containers.reporting import Report, nothing
 from luxloop.effect import AppliedEffect, EffectSpec, check, did_you_mean, refuse_twice
 from luxloop.errors import InputError, RemoteError
 from luxloop.failure import Failure
@@ -36,10 +37,10 @@ class Catalogue:
         self._own = Loaded()
         self.rescan()
 
-    def rescan(self) -> None:
+    def rescan(self, report: Report = nothing) -> None:
         """Look through the user's folder again; a file that is as it was is not loaded again."""
         if self._folder is not None:
-            self._own = load_folder(self._folder, self._own, taken=frozenset(_shipped()))
+            self._own = load_folder(self._folder, self._own, taken=frozenset(_shipped()), report=report)
 
     @property
     def specs(self) -> list[EffectSpec]:
@@ -59,8 +60,8 @@ class Catalogue:
             for file, trial in self._own.trials.items()
         }
 
-    def effects(self, applied: Sequence[AppliedEffect], worker: str) -> Effects:
-        """The effects of a request, ready to act.
+    def effects(self, applied: Sequence[AppliedEffect], worker: str, report: Report = nothing) -> Effects:
+        """The effects of a request, ready to act; the report is called while the folder is looked through.
 
         Raises
         ------
@@ -68,7 +69,7 @@ class Catalogue:
         InputError : a value out of range, an effect twice, two that exclude each other.
         """
         refuse_twice("effects", (one.name for one in applied))
-        found = tuple(self._effect(one, worker) for one in applied)
+        found = tuple(self._effect(one, worker, report) for one in applied)
         names = {one.name for one in found}
         for one in found:
             for other in one.excludes:
@@ -76,18 +77,20 @@ class Catalogue:
                     raise InputError("effects", f"{one.name} and {other}", "one of the two", "they say the same")
         return Effects(found)
 
-    def _effect(self, applied: AppliedEffect, worker: str) -> Effect:
-        spec, kind = self._known(applied, worker)
+    def _effect(self, applied: AppliedEffect, worker: str, report: Report) -> Effect:
+        spec, kind = self._known(applied, worker, report)
         check(applied, spec)
         return parse(kind, applied.parameters, f"effects.{applied.name}")
 
-    def _known(self, applied: AppliedEffect, worker: str) -> tuple[EffectSpec, type[Effect]]:
+    def _known(
+        self, applied: AppliedEffect, worker: str, report: Report = nothing
+    ) -> tuple[EffectSpec, type[Effect]]:
         kind = _shipped().get(applied.name)
         if kind is not None:
             return kind.spec(), kind
         own = self._own.known.get(applied.name)
         if own is None or own.spec.source_sha256 != applied.source_sha256:
-            self.rescan()
+            self.rescan(report)
             own = self._own.known.get(applied.name)
         if own is None or own.spec.source_sha256 != applied.source_sha256:
             raise RemoteError(self._unknown(applied, own.spec if own else None, worker))

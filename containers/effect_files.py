@@ -5,6 +5,9 @@
 
 What fails is refused with a sentence that names the file, the reason and the mend; the worker goes on. A file that
 was refused is tried again once it is saved again; one that was accepted is accepted wherever its bytes are.
+
+A trial is against mistakes, not malice: whoever writes to the folder is trusted as the worker itself is. Trial and
+worker are of one user; a file may start what outlives its trial, and is executed in the worker once it is accepted.
 """
 
 from __future__ import annotations
@@ -17,6 +20,7 @@ import re
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Mapping, Set
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -24,6 +28,7 @@ from types import ModuleType
 from typing import Any
 
 from containers.effect import Effect
+from containers.reporting import Report, nothing
 from luxloop import __version__
 from luxloop.effect import EffectSpec
 from luxloop.errors import InputError
@@ -34,6 +39,10 @@ MOST_BYTES = 256 << 10
 MOST_FILES = 100
 LIMIT_S = 20.0
 """Of one trial."""
+LOOK_S = 0.25
+"""How often is looked whether the trial's result is still wanted."""
+OF_KERNELS = ("LUXLOOP_CACHE", "LUXLOOP_KERNELS")
+"""Of the worker's own settings, what a trial is told: where compiled kernels lie."""
 RULES = 1
 """Of the trial: a verdict that other rules gave is not remembered."""
 NAME = re.compile(r"[a-z][a-z0-9_]{0,63}")
@@ -68,10 +77,13 @@ class Loaded:
     refused: dict[str, str] = field(default_factory=dict)
 
 
-def load_folder(folder: Path, before: Loaded, taken: Set[str], limit_s: float = LIMIT_S) -> Loaded:
+def load_folder(
+    folder: Path, before: Loaded, taken: Set[str], limit_s: float = LIMIT_S, report: Report = nothing
+) -> Loaded:
     """The effects of a folder; what is as it was in `before` is kept, names in `taken` are refused.
 
-    Files whose names begin with _ or . are no effects. Nothing is raised: what cannot be used is refused.
+    Files whose names begin with _ or . are no effects. What cannot be used is refused; nothing is raised but what the
+    report raises, which is called while trials run.
     """
     found = Loaded()
     paths = [path for path in sorted(folder.glob("*.py")) if path.name[0] not in "._"]
@@ -80,13 +92,13 @@ def load_folder(folder: Path, before: Loaded, taken: Set[str], limit_s: float = 
             found.refused[path.name] = f"{path.name}: more than {MOST_FILES} files; take some out of the folder"
             continue
         try:
-            _load(path, before, taken, found, limit_s)
+            _load(path, before, taken, found, limit_s, report)
         except InputError as error:
             found.refused[path.name] = f"{path.name}: {error}"
     return found
 
 
-def _load(path: Path, before: Loaded, taken: Set[str], found: Loaded, limit_s: float) -> None:
+def _load(path: Path, before: Loaded, taken: Set[str], found: Loaded, limit_s: float, report: Report) -> None:
     """Put one file into what was found."""
     if not NAME.fullmatch(path.stem):
         raise InputError("file name", path.name, "small letters, digits and _, such as my_haze.py", "rename it")
@@ -96,7 +108,7 @@ def _load(path: Path, before: Loaded, taken: Set[str], found: Loaded, limit_s: f
     sha256 = hashlib.sha256(source).hexdigest()
     own, trial = before.known.get(path.stem), before.trials.get(path.name)
     if trial is None or trial.sha256 != sha256 or (trial.refused and trial.saved_ns != saved_ns):
-        own, trial = None, tried(source, path.name, saved_ns, limit_s)
+        own, trial = None, tried(source, path.name, saved_ns, limit_s, report)
     found.trials[path.name] = trial
     if trial.refused:
         found.refused[path.name] = trial.refused
@@ -173,48 +185,71 @@ def effect_of(module: ModuleType, name: str) -> type[Effect]:
 # Trials, and verdicts that are remembered
 
 
-def tried(source: bytes, file: str, saved_ns: int = 0, limit_s: float = LIMIT_S) -> Trial:
+def tried(source: bytes, file: str, saved_ns: int = 0, limit_s: float = LIMIT_S, report: Report = nothing) -> Trial:
     """What comes of trying these bytes in a fresh process; an accepted file's verdict is remembered on disk.
 
-    Refusals are not: what was missing may be installed, and what was slow may have had a busy machine.
+    Refusals are not: what was missing may be installed, and what was slow may have had a busy machine. What the
+    report raises ends the trial.
     """
     sha256 = hashlib.sha256(source).hexdigest()
     verdict = _verdict_file(sha256, file)
     if verdict is not None and (findings := _remembered(verdict)) is not None:
         return Trial(sha256, findings, "", saved_ns)
-    findings, ended = _in_a_fresh_process(source, file, limit_s)
+    findings, ended = _in_a_fresh_process(source, file, limit_s, report)
     trial = Trial(sha256, findings, _why_refused(findings, ended, file), saved_ns)
     if verdict is not None and not trial.refused:
         _remember(verdict, findings)
     return trial
 
 
-def _in_a_fresh_process(source: bytes, file: str, limit_s: float) -> tuple[tuple[Mapping[str, Any], ...], str]:
+def _in_a_fresh_process(
+    source: bytes, file: str, limit_s: float, report: Report
+) -> tuple[tuple[Mapping[str, Any], ...], str]:
     """The findings that the trial printed, and how it ended ("": as it should)."""
-    process = subprocess.Popen(
-        [sys.executable, "-m", "containers.effect_trial", "-", "--name", file, "--limit", str(limit_s)],
+    command = [sys.executable, "-m", "containers.effect_trial", "-", "--name", file, "--limit", str(limit_s)]
+    with subprocess.Popen(
+        command,
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
-        env=os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},
-        process_group=0,  # ended with all that it started
-    )
-    ended = ""
-    try:
-        printed, _ = process.communicate(source, timeout=limit_s)
-    except subprocess.TimeoutExpired:
-        ended = f"no end after {limit_s:g} s"
-        _end(process)
-        printed, _ = process.communicate()
-    finally:
-        _end(process)
+        env=_environment(),
+        process_group=0,  # ended with what it started in this group
+    ) as process:
+        try:
+            printed, ended = _printed(process, source, limit_s, report)
+        finally:
+            _end(process)
     if not ended and process.returncode:
         ended = f"the process ended with code {process.returncode}"
     return tuple(_lines(printed)), ended
 
 
+def _printed(process: subprocess.Popen[bytes], source: bytes, limit_s: float, report: Report) -> tuple[bytes, str]:
+    """What a trial printed of these bytes, and why it was ended ("": it was not)."""
+    until_s, given = time.monotonic() + limit_s, {"input": source}
+    ended = ""
+    while True:
+        report()
+        left_s = until_s - time.monotonic()
+        if left_s <= 0.0:
+            ended = f"no end after {limit_s:g} s"
+            _end(process)
+        try:
+            return process.communicate(**given, timeout=LOOK_S if ended else min(left_s, LOOK_S))[0], ended
+        except subprocess.TimeoutExpired:
+            given = {}  # it has the rest of them
+
+
+def _environment() -> dict[str, str]:
+    """What a trial is told of this process's environment: of the worker's own settings no more than it needs."""
+    kept = {
+        name: value for name, value in os.environ.items() if not name.startswith("LUXLOOP_") or name in OF_KERNELS
+    }
+    return kept | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+
+
 def _end(process: subprocess.Popen[bytes]) -> None:
-    """End a trial and all that it started, where anything of it is left."""
+    """End a trial and what it started in its process group, where anything of it is left."""
     try:
         os.killpg(process.pid, signal.SIGKILL)
     except (ProcessLookupError, PermissionError):

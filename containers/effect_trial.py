@@ -3,7 +3,8 @@
     import, spec ──▶ what its stage asks (`effect_findings`): off, acts, again, conserves ... ──▶ end
 
 A worker starts this as a process of its own, hands it the bytes on stdin and ends it when its time is over, so that
-nothing in the file can harm the worker. A trial ends itself, too, should its worker die.
+no mistake in the file (an endless loop, an exit, too much memory) harms the worker. It is no guard against malice:
+who writes the folder is trusted as the worker is. A trial ends itself, too, should its worker die.
 """
 
 from __future__ import annotations
@@ -51,7 +52,7 @@ def main() -> None:
     for check, ok, said in trial(source, path.name):
         out.write(json.dumps({"check": check, "ok": ok, "said": said[:2000]}) + "\n")
         out.flush()
-    os._exit(0)  # whatever the file left running ends with it
+    os._exit(0)  # threads that the file left running end with it
 
 
 def trial(source: bytes, file: str) -> Iterator[tuple[str, bool, str]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -14,6 +15,7 @@ from containers.ray_tracing.kept import Kept
 from containers.ray_tracing.predictor import Predictor
 from containers.ray_tracing.simulation import simulate
 from containers.ray_tracing.twin.columns import CAMERA_COLUMNS, COLUMNS
+from containers.reporting import Report
 from containers.stack import dbr_of
 from containers.thin_film.packing import unpack
 from containers.thin_film.table import FilmTable, film_table
@@ -69,24 +71,25 @@ class RayComputation:
         """The answer to a `RayRequest`, or to another one where `task` says so."""
         if inputs.get("task") == "effects":
             parse(EffectsRequest, inputs, "request for effects")
-            self._catalogue.rescan()
+            self._catalogue.rescan(partial(progress.report, 0.0, "effects"))
             return told(self._catalogue), {}
         if "task" in inputs:
             return self._predict(inputs, progress)
         request = parse(RayRequest, inputs, "ray request")
-        effects = self.effects(request)
+        effects = self.effects(request, partial(progress.report, 0.0, "effects"))
         progress.report(0.0, str(request.design))
         film = None if request.film is None else self.film(request.film)
         return simulate(request, film, self._source, progress, self._threads, effects)
 
-    def effects(self, module: Module) -> Effects:
-        """Those of a request, ready to act; RemoteError unknown_effect, InputError."""
-        return self._catalogue.effects(module.effects, "ray-tracing")
+    def effects(self, module: Module, report: Report) -> Effects:
+        """Those of a request, ready to act; RemoteError unknown_effect, InputError, and what the report raises."""
+        return self._catalogue.effects(module.effects, "ray-tracing", report)
 
     def _predict(self, inputs: dict[str, Any], progress: Progress) -> tuple[dict[str, Any], Mapping[str, Array]]:
         request = parse(PredictionRequest, inputs, "prediction request")
         progress.report(0.0, "prediction")
-        return self._predictor.answer(request, self, progress)
+        means = _Means(self, partial(progress.report, 0.0, "effects"))
+        return self._predictor.answer(request, means, progress)
 
     def film(self, film: Film) -> FilmTable:
         """The table of that hash, of those held or from who has it; RemoteError not_found where nobody has."""
@@ -110,6 +113,22 @@ class RayComputation:
                     mend="ask the thin-film worker for the table again, then for this",
                 )
             ) from error
+
+
+@dataclass(frozen=True)
+class _Means:
+    """What a prediction names and does not bring, while somebody listens for a cancel."""
+
+    computation: RayComputation
+    report: Report
+
+    def film(self, film: Film) -> FilmTable:
+        """The table of that hash."""
+        return self.computation.film(film)
+
+    def effects(self, module: Module) -> Effects:
+        """The effects of a module and its camera, ready to act."""
+        return self.computation.effects(module, self.report)
 
 
 def warm_up(source: ExitSource, threads: int | None = None) -> None:

@@ -60,7 +60,7 @@ class FilmComputation:
             request = FILM_REQUEST.validate_python(inputs)
         except ValidationError as error:
             raise as_input_error(error, "film request") from error
-        effects = self._catalogue.effects(request.effects, "thin-film")
+        effects = self._catalogue.effects(request.effects, "thin-film", partial(progress.report, 0.0, "effects"))
         spot = spot_of(request, effects)
         report = partial(progress.report, 0.0, str(spot[0][1])[:100])
         report()

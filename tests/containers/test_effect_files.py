@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import time
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,7 @@ from containers import effect_files
 from containers.catalogue import Catalogue, told
 from containers.effect_files import Loaded, load_folder
 from containers.effect_trial import trial
+from luxloop.computation import Stopped
 from luxloop.effect import AppliedEffect
 from luxloop.errors import InputError, RemoteError
 
@@ -228,7 +230,7 @@ def test_an_unchanged_file_is_not_tried_again(tmp_path: Path, monkeypatch: pytes
     assert set(first.refused) == {"mine.py"}
     tries: list[str] = []
     real = effect_files._in_a_fresh_process
-    counted = lambda source, file, limit_s: tries.append(file) or real(source, file, limit_s)  # noqa: E731
+    counted = lambda source, file, *rest: tries.append(file) or real(source, file, *rest)  # noqa: E731
     monkeypatch.setattr(effect_files, "_in_a_fresh_process", counted)
     again = load_folder(folder, first, frozenset())
     assert tries == []
@@ -262,3 +264,39 @@ def test_a_catalogue_finds_a_file_that_changes_while_it_stands(tmp_path: Path) -
     assert lift.lift_um == 1.0  # type: ignore[attr-defined]
     with pytest.raises(InputError, match="each name once"):
         catalogue.effects([applied, applied], "ray")
+
+
+def test_a_trial_ends_when_its_result_is_not_wanted_any_more(tmp_path: Path) -> None:
+    """A worker whose task is cancelled while it looks through its folder stops, and knows what it knew."""
+    (tmp_path / "mine.py").write_text("while True: pass\n")
+    begin_s = time.monotonic()
+
+    def report() -> None:
+        if time.monotonic() > begin_s + 0.5:
+            raise Stopped
+
+    catalogue = Catalogue()
+    catalogue._folder = tmp_path
+    for rescan in (
+        lambda: load_folder(tmp_path, Loaded(), frozenset(), report=report),
+        lambda: catalogue.rescan(report),
+        lambda: catalogue.effects([AppliedEffect(name="mine")], "ray", report),
+    ):
+        with pytest.raises(Stopped):
+            rescan()
+    assert time.monotonic() - begin_s < 5.0
+    assert told(catalogue)["refused_effects"] == {}
+
+
+def test_a_trial_is_not_told_of_the_worker_s_keys(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nor where its router is; it finds the compiled kernels."""
+    monkeypatch.setenv("LUXLOOP_CERTS", "/certs")
+    (tmp_path / "mine.py").write_text("import os\nraise SystemExit(sorted(os.environ))\n")
+    refused = load_folder(tmp_path, Loaded(), frozenset()).refused["mine.py"]
+    assert "PATH" in refused
+    assert "LUXLOOP_CERTS" not in refused
+    with monkeypatch.context() as patch:
+        patch.setenv("LUXLOOP_KERNELS", "/kernels")
+        told_of = effect_files._environment()
+    assert {name for name in told_of if name.startswith("LUXLOOP_")} <= {"LUXLOOP_CACHE", "LUXLOOP_KERNELS"}
+    assert told_of["LUXLOOP_KERNELS"] == "/kernels"
