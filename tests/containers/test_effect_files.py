@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import os
+import sys
 import time
+from importlib.metadata import EntryPoint
 from pathlib import Path
 
 import pytest
 
+from containers import catalogue as catalogue_module
 from containers import effect_files
 from containers.catalogue import Catalogue, told
 from containers.effect_files import Loaded, load_folder
@@ -300,3 +303,54 @@ def test_a_trial_is_not_told_of_the_worker_s_keys(tmp_path: Path, monkeypatch: p
         told_of = effect_files._environment()
     assert {name for name in told_of if name.startswith("LUXLOOP_")} <= {"LUXLOOP_CACHE", "LUXLOOP_KERNELS"}
     assert told_of["LUXLOOP_KERNELS"] == "/kernels"
+
+
+def offered(monkeypatch: pytest.MonkeyPatch, folder: Path, **sources: str) -> Catalogue:
+    """A catalogue where a package offers the class `Lift` of modules of these sources."""
+    points = [EntryPoint(name, f"{name}:Lift", "luxloop.effects") for name in sources]
+    for name, source in sources.items():
+        (folder / f"{name}.py").write_text(source)
+        sys.modules.pop(name, None)
+    monkeypatch.syspath_prepend(str(folder))
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
+    monkeypatch.setattr(catalogue_module, "entry_points", lambda **_: points)
+    catalogue_module._installed.cache_clear()
+    return Catalogue()
+
+
+def test_an_effect_of_a_package_is_known_by_the_hash_of_its_module(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A worker with another release of it does not answer for this one."""
+    hashes = []
+    for source in (GOOD, GOOD + "# another release\n"):
+        catalogue = offered(monkeypatch, tmp_path, packaged_lift=source)
+        (spec,) = [one for one in catalogue.specs if one.name == "my_lift"]
+        hashes.append(spec.source_sha256)
+    applied = [AppliedEffect(name="my_lift", parameters={"lift_um": 1.0}, source_sha256=one) for one in hashes]
+    assert len(catalogue.effects(applied[1:], "ray").all) == 1
+    with pytest.raises(RemoteError) as caught:
+        catalogue.effects(applied[:1], "ray")
+    assert caught.value.failure.code == "unknown_effect"
+    assert str(hashes[1]) in caught.value.failure.allowed
+    assert "package" in caught.value.failure.mend
+    catalogue_module._installed.cache_clear()
+
+
+def test_a_package_whose_effect_cannot_be_used_ends_no_worker(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What raises at import, what is no effect, what has a name of the catalogue: told, and the rest is there."""
+    sources = {
+        "packaged_broken": "import not_there_at_all\n",
+        "packaged_other": "Lift = 3\n",
+        "packaged_taken": GOOD.replace("my_lift", "camera_psf"),
+    }
+    catalogue = offered(monkeypatch, tmp_path, packaged_lift=GOOD, **sources)
+    refused = told(catalogue)["refused_effects"]
+    assert set(refused) == set(sources)
+    assert "not_there_at_all" in refused["packaged_broken"]
+    assert "a class derived" in refused["packaged_other"]
+    assert "no other effect" in refused["packaged_taken"]
+    assert "my_lift" in {spec.name for spec in catalogue.specs}
+    catalogue_module._installed.cache_clear()

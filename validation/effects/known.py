@@ -42,8 +42,8 @@ class Known:
         for one in self.specs:
             if one.name == name:
                 return one
-        if f"{name}.py" in self.refused:
-            raise InputError("NAME", name, "an effect that can be used", self.refused[f"{name}.py"])
+        if why := self._why_refused(name):
+            raise InputError("NAME", name, "an effect that can be used", why)
         names = [one.name for one in self.specs]
         mend = did_you_mean(name, names) or "luxloop effects list shows them"
         raise InputError("NAME", name, f"one of the {len(names)} effects that the workers know", mend)
@@ -53,10 +53,14 @@ class Known:
         known = {one.name: one for one in self.specs}
         for one in (model, *(of_sample(model, sample) for sample in model.samples)):
             for effect in one.effects:
-                if effect.name not in known and f"{effect.name}.py" not in self.refused:
+                if effect.name not in known and not self._why_refused(effect.name):
                     mend = did_you_mean(effect.name, known) or "luxloop effects show NAME prints what to write"
                     raise InputError("effects", effect.name, f"one of {', '.join(known)}", mend)
                 check(effect, self.spec(effect.name))
+
+    def _why_refused(self, name: str) -> str:
+        """Why a file, or what a package offers under that name, is not used; empty where there is none."""
+        return self.refused.get(f"{name}.py") or self.refused.get(name, "")
 
     @property
     def beyond_twin(self) -> frozenset[str]:
