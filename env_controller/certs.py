@@ -15,6 +15,7 @@ import ipaddress
 import os
 import tempfile
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -118,6 +119,7 @@ def make(
     there = (folder / "ca.pem").exists()
     if not there:
         _refuse_lone_key(folder)
+        _refuse_another_s(folder)
     if there and if_needed and not (lacks := what_it_lacks(folder, hosts)):
         return _made(folder, "left as it is")
     if there and not (renew or if_needed):
@@ -146,6 +148,15 @@ def _refuse_lone_key(folder: Path) -> None:
             f" new set, or name another by --out; is it the rest of a run that was killed, remove {key}"
         )
         raise InputError("out", str(key), "no key of a CA where a new CA is made", mend)
+
+
+def _refuse_another_s(folder: Path) -> None:
+    """InputError where a folder holds anything, and no set that is whole or was begun: nothing is touched there."""
+    with suppress(OSError):  # what cannot be looked into cannot be written either: that is told then
+        if not any(folder.iterdir()) or (folder / UNFINISHED).exists():
+            return
+        mend = f"name a new one: --out {folder / 'certs'}; is it the rest of a set, move it away"
+        raise InputError("out", str(folder), "an empty folder, a new one, or one with a set", mend)
 
 
 def what_it_lacks(folder: Path, hosts: Iterable[str] = ()) -> str:
@@ -197,7 +208,7 @@ def _write(folder: Path, authority: Authority, hosts: Iterable[str], end: dateti
     _private_folder(folder)
     if not (folder / "ca.pem").exists():
         (folder / UNFINISHED).touch()
-    for left in folder.rglob(".*.*-*"):  # of a run that was killed
+    for left in _left_behind(folder):
         left.unlink()
     for role in ROLES:
         _private_folder(folder / role)
@@ -206,6 +217,13 @@ def _write(folder: Path, authority: Authority, hosts: Iterable[str], end: dateti
     _replace(folder / "ca.key", _pem(authority.key), 0o600)
     _replace(folder / "ca.pem", ca, 0o644)
     (folder / UNFINISHED).unlink(missing_ok=True)
+
+
+def _left_behind(folder: Path) -> list[Path]:
+    """What `_replace` wrote in a run that was killed."""
+    files = [folder / "ca.key", folder / "ca.pem"]
+    files += [folder / role / name for role in ROLES for name in (f"{role}.pem", "ca.pem")]
+    return [left for file in files for left in file.parent.glob(f".{file.name}-*")]
 
 
 def _known_hosts(folder: Path) -> tuple[str, ...]:
@@ -217,8 +235,14 @@ def _known_hosts(folder: Path) -> tuple[str, ...]:
 
 
 def _private_folder(folder: Path) -> None:
-    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-    folder.chmod(0o700)
+    """Make a folder that its owner alone may enter; one that is there stays as open as it is."""
+    try:
+        folder.mkdir(mode=0o700, parents=True)
+    except FileExistsError:
+        if not folder.is_dir():
+            raise
+        return
+    folder.chmod(0o700)  # whatever the umask
 
 
 def _replace(path: Path, content: bytes, mode: int) -> None:

@@ -158,6 +158,38 @@ class TestAgain:
         (certs / "ca.pem").write_bytes((certs / "client" / "ca.pem").read_bytes())
         assert what_it_lacks(certs) == ""
 
+    def test_a_folder_of_somebody_s_is_left_as_it_is(self, tmp_path: Path) -> None:
+        """Not a set: refused with the way out; nothing is deleted there, and it stays as open as it was."""
+        home = tmp_path / "home"
+        (home / "editor").mkdir(parents=True)
+        files = [home / ".notes.txt-draft", home / "editor" / ".a.swp-1"]
+        for file in files:
+            file.touch()
+        home.chmod(0o755)
+        for how in ({}, {"if_needed": True}):
+            with pytest.raises(InputError, match=r"an empty folder, a new one.*--out"):
+                make(home, days=90, **how)
+        assert all(file.exists() for file in files)
+        assert home.stat().st_mode & 0o777 == 0o755
+
+    def test_in_a_set_only_what_it_left_itself_is_taken_away(self, certs: Path) -> None:
+        """Others' hidden files beside it and below it stay; so does the mode that its owner gave a folder."""
+        (certs / "backup").mkdir()
+        kept = [certs / ".my.pem-old", certs / "backup" / ".ca.pem-old", certs / "client" / ".vimrc.x-y"]
+        left = [certs / ".ca.pem-abc", certs / "client" / ".client.pem-abc"]
+        for file in (*kept, *left):
+            file.touch()
+        certs.chmod(0o750)
+        make(certs, days=90, renew=True)
+        assert [file.exists() for file in (*kept, *left)] == [True] * 3 + [False] * 2
+        assert certs.stat().st_mode & 0o777 == 0o750
+
+    def test_an_empty_folder_and_one_that_is_missing_get_a_set(self, tmp_path: Path) -> None:
+        """As a volume of docker compose is: with a folder of its own in it, which is nobody else's to enter."""
+        assert make(tmp_path, days=90, if_needed=True).what == "made"
+        made = make(tmp_path / "volume" / "lab", days=90, if_needed=True)
+        assert made.folder.stat().st_mode & 0o777 == 0o700
+
     def test_a_place_that_cannot_be_written_is_named(self, tmp_path: Path) -> None:
         """A file in the way."""
         (tmp_path / "file").touch()
