@@ -1,9 +1,9 @@
 """The one import of numba in this room: how kernels are compiled, where they are kept, what they leave in memory.
 
-Compiled code lies under `$LUXLOOP_KERNELS/<key>` (default `kernels` in `LUXLOOP_CACHE`), or in `NUMBA_CACHE_DIR`
-where that is set. numba compiles again when the file of a kernel changes, but not when the file of a kernel that it
-calls does; therefore the key is a digest of all files of the same worker that hold kernels, or what kernels are
-handed.
+Compiled code lies under `$LUXLOOP_KERNELS/<key>` (default `kernels` in `LUXLOOP_CACHE`), or under
+`$NUMBA_CACHE_DIR/<key>` where that is set. numba compiles again when the file of a kernel changes, but not when the
+file of a kernel that it calls does; therefore the key is a digest of all files of the same worker that hold kernels,
+or what kernels are handed, and of this one, which says how they are compiled.
 """
 
 from __future__ import annotations
@@ -63,13 +63,12 @@ def _compiled(function: Function, **options: bool) -> Function:
 @cache
 def _kernel_folder(folder: Path) -> str:
     """Where the compiled kernels of one source folder lie."""
-    if chosen := os.environ.get("NUMBA_CACHE_DIR"):
-        return chosen
     package = folder.parent if (folder.parent.parent / "__init__.py").exists() else folder
     sources = [(path.name, path.read_bytes()) for path in sorted(package.rglob("*.py"))]
     kernels = [(name, text) for name, text in sources if any(mark in text for mark in KERNELS)]
     digest = hashlib.sha256(repr(kernels).encode())
-    chosen = os.environ.get("LUXLOOP_KERNELS")
+    digest.update(Path(__file__).read_bytes())
+    chosen = os.environ.get("NUMBA_CACHE_DIR") or os.environ.get("LUXLOOP_KERNELS")
     return str((Path(chosen) if chosen else cache_folder() / "kernels") / f"{package.name}-{digest.hexdigest()[:12]}")
 
 

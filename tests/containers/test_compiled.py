@@ -34,7 +34,8 @@ def run(folder: Path, code: str, **environment: str) -> str:
     return done.stdout.strip()
 
 
-def test_compiled_code_is_kept_in_the_cache_and_follows_its_source(tmp_path: Path) -> None:
+@pytest.mark.parametrize("chosen", ["LUXLOOP_CACHE", "NUMBA_CACHE_DIR"])
+def test_compiled_code_is_kept_in_the_cache_and_follows_its_source(tmp_path: Path, chosen: str) -> None:
     """A second process loads what the first compiled; a changed source, also of another file, is compiled again."""
     source, cache = tmp_path / "code", tmp_path / "cache"
     source.mkdir()
@@ -44,12 +45,12 @@ def test_compiled_code_is_kept_in_the_cache_and_follows_its_source(tmp_path: Pat
         "@kernel\ndef twice(x: float) -> float:\n    return double(double(x))\n"
     )
     call = "import outer; print(outer.twice(1.0), sum(outer.twice.stats.cache_hits.values()))"
-    settings = {"LUXLOOP_CACHE": str(cache), "LUXLOOP_KERNELS": "", "NUMBA_CACHE_DIR": ""}
+    settings = {"LUXLOOP_CACHE": "", "LUXLOOP_KERNELS": "", "NUMBA_CACHE_DIR": "", chosen: str(cache)}
     assert run(source, call, **settings) == "4.0 0"
     assert run(source, call, **settings) == "4.0 1"
     (source / "inner.py").write_text(DOUBLE.format(factor=3.0))
     assert run(source, call, **settings) == "9.0 0"
-    assert list((cache / "kernels").rglob("*.nbc"))
+    assert list(cache.rglob("*.nbc"))
     assert not list(source.rglob("*.nbc"))
 
 
@@ -65,3 +66,17 @@ def test_compiler_pages_can_be_released_and_kernels_go_on() -> None:
         compiled.release_compiler_pages()
         assert (family_reflectance(*arguments) == before).all()
         assert compiled.kernel(lambda x, factor=factor: factor * x)(1.5) == 1.5 * factor
+
+
+def test_how_kernels_are_compiled_is_part_of_their_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Options of the compiler stand in that one file."""
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    compiled._kernel_folder.cache_clear()
+    before = compiled._kernel_folder(tmp_path)
+    changed = tmp_path / "compiled.txt"
+    changed.write_bytes(Path(compiled.__file__).read_bytes() + b"# changed\n")
+    monkeypatch.setattr(compiled, "__file__", str(changed))
+    compiled._kernel_folder.cache_clear()
+    assert Path(before).parent == tmp_path
+    assert compiled._kernel_folder(tmp_path) != before
+    compiled._kernel_folder.cache_clear()

@@ -25,10 +25,9 @@ def kernel(function: Function) -> Function:
 
 
 def _folder() -> str:
-    if chosen := os.environ.get("NUMBA_CACHE_DIR"):
-        return chosen
     digest = hashlib.sha256()
     for path in sorted(Path(__file__).parent.glob("*.py")):
         digest.update(path.read_bytes())
     home = Path(os.environ.get("LUXLOOP_CACHE") or Path.home() / ".cache" / "luxloop")
-    return str(Path(os.environ.get("LUXLOOP_KERNELS") or home / "kernels") / f"blind-{digest.hexdigest()[:12]}")
+    chosen = os.environ.get("NUMBA_CACHE_DIR") or os.environ.get("LUXLOOP_KERNELS")
+    return str(Path(chosen or home / "kernels") / f"blind-{digest.hexdigest()[:12]}")

@@ -162,3 +162,5 @@ def test_compiled_kernels_lie_where_the_workers_do(monkeypatch: pytest.MonkeyPat
         monkeypatch.setenv("LUXLOOP_KERNELS", chosen)
         assert Path(compiled._folder()).parent == home
         assert Path(compiled._folder()).name.startswith("blind-")
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "numba"))  # also there by the digest of the sources
+    assert Path(compiled._folder()).parent == tmp_path / "numba"
