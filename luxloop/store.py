@@ -16,6 +16,7 @@ from pathlib import Path
 from luxloop.errors import InputError
 
 MAX_BYTES = 2 << 30
+VERIFIED = 16
 HEX = frozenset("0123456789abcdef")
 
 
@@ -25,7 +26,7 @@ class BlobStore:
     def __init__(self, folder: Path, max_bytes: int = MAX_BYTES) -> None:
         self._folder, self._max_bytes = folder, max_bytes
         self._written_bytes = max_bytes  # many a process writes little: the first blob of each is reason to prune
-        self._verified: tuple[str, int, int] | None = None
+        self._verified: tuple[tuple[str, int, int], ...] = ()
 
     def keep(self, raw: bytes) -> str:
         """Store `raw` and return its SHA-256."""
@@ -62,17 +63,16 @@ class BlobStore:
     def piece(self, sha256: str, offset: int, length: int) -> tuple[bytes, int] | None:
         """`length` bytes from `offset`, and the size of the whole; None where it is not held here.
 
-        The whole is hashed once for each state of its file, not for each piece.
+        The whole is hashed once for each state of its file, not for each piece: the latest `VERIFIED` are remembered.
         """
         path = self._path(sha256)
         try:
             state = path.stat()
-            seen = (sha256, state.st_size, state.st_ctime_ns)
-            if seen != self._verified:
+            if (sha256, state.st_size, state.st_ctime_ns) not in self._verified:
                 if self.get(sha256) is None:
                     return None
                 state = path.stat()  # reading it noted the use
-                self._verified = (sha256, state.st_size, state.st_ctime_ns)
+                self._verified = (*self._verified[1 - VERIFIED :], (sha256, state.st_size, state.st_ctime_ns))
             with path.open("rb") as file:
                 file.seek(offset)
                 return file.read(length), state.st_size

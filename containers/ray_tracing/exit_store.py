@@ -140,6 +140,7 @@ class ExitStore:
             with path.open("rb") as file:
                 layout, raw = self._mapped(file, key)
         except FileNotFoundError:
+            self._verified.pop(key, None)
             return None
         except Damaged as error:
             self.damaged += 1
@@ -221,6 +222,7 @@ class ExitStore:
                 return
             if path != keep and path.suffix == ENDING:
                 path.unlink(missing_ok=True)  # arrays mapped from it stay: the file goes with the last of them
+                self._verified.pop(path.name.removesuffix(ENDING), None)
                 total -= size
 
     def _path(self, key: str) -> Path:

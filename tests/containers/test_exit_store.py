@@ -220,8 +220,14 @@ def test_a_set_that_was_evicted_comes_back_as_it_was(tmp_path: Path) -> None:
     store = ExitStore(tmp_path, max_bytes=int(1.5 * FILE_BYTES))
     store.put(key(0), large(0), HEADER)
     first = (tmp_path / (key(0) + ENDING)).read_bytes()
+    assert store.get(key(0)) is not None
     store.put(key(1), large(1), HEADER)
+    assert not store._verified  # what is gone is not remembered for ever
     assert store.get(key(0)) is None
+    assert store.get(key(1)) is not None
+    (tmp_path / (key(1) + ENDING)).unlink()  # as another process does
+    assert store.get(key(1)) is None
+    assert not store._verified
     store.put(key(0), large(0), HEADER)
     assert (tmp_path / (key(0) + ENDING)).read_bytes() == first
 

@@ -125,3 +125,15 @@ def test_a_name_that_is_no_hash_is_refused(tmp_path: Path, name: str) -> None:
     with pytest.raises(InputError) as caught:
         BlobStore(tmp_path).get(name)
     assert caught.value.field == "sha256"
+
+
+def test_blobs_fetched_by_turns_are_hashed_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not for each piece: of two of 64 MB that was half a second a piece."""
+    store = BlobStore(tmp_path)
+    hashes = [store.keep(bytes([number]) * 100) for number in range(3)]
+    read: list[str] = []
+    get = store.get
+    monkeypatch.setattr(store, "get", lambda sha256: read.append(sha256) or get(sha256))
+    for offset in range(0, 100, 20):
+        assert [store.piece(sha256, offset, 1) for sha256 in hashes] == [(bytes([n]), 100) for n in range(3)]
+    assert read == hashes
