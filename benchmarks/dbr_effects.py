@@ -27,7 +27,8 @@ from containers.ray_tracing.monte_carlo import MonteCarlo, blocks_of
 from containers.ray_tracing.outcome import solved
 from containers.ray_tracing.several_tops import solver_of_all, with_tops
 from containers.ray_tracing.tally import GROUPS
-from containers.ray_tracing.twin.prediction import Shot, Supply, _replicas, twin_images
+from containers.ray_tracing.twin.prediction import Shot, _replicas, twin_images
+from containers.ray_tracing.twin.supply import Supply
 from containers.scene import Face, Scene
 from containers.stack import dbr_of
 from containers.thin_film.scatter import AbcSpectrum

@@ -28,7 +28,8 @@ from containers.ray_tracing.twin.cell import cell_field
 from containers.ray_tracing.twin.columns import COLUMNS, film_column
 from containers.ray_tracing.twin.direct import Way, direct_light, open_way
 from containers.ray_tracing.twin.module import ModuleTwin, surroundings
-from containers.ray_tracing.twin.prediction import Shot, Supply, jacobian, twin_images
+from containers.ray_tracing.twin.prediction import Shot, jacobian, twin_images
+from containers.ray_tracing.twin.supply import Supply
 from containers.ray_tracing.twin.ways import Ways
 from containers.ray_tracing.uniformity import cell_region, uniformity
 from containers.scene import Array, Cell, Emission, Receiver, Scene

@@ -34,13 +34,13 @@ from containers.ray_tracing.twin.noise import MOST_FUNCTIONS
 from containers.ray_tracing.twin.prediction import (
     Anchor,
     Shot,
-    Supply,
     jacobian,
     named,
     refuse_several_sizes,
     stencil_of,
     twin_views,
 )
+from containers.ray_tracing.twin.supply import Supply
 from containers.scene import Array, Cell, Scene
 from containers.thin_film.table import FilmTable
 from luxloop.camera import Camera

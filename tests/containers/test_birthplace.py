@@ -16,7 +16,7 @@ from containers.ray_tracing.exits import Exits, Landing, make_exits
 from containers.ray_tracing.monte_carlo import BLOCK
 from containers.ray_tracing.twin.birthplace import born_as_in
 from containers.ray_tracing.twin.module import ModuleTwin
-from containers.ray_tracing.twin.prediction import Supply
+from containers.ray_tracing.twin.supply import Supply
 from containers.scene import Array, Scene
 from luxloop.errors import InputError
 from tests.ray_scenes import film_face, scene

@@ -16,8 +16,9 @@ from containers.ray_tracing.monte_carlo import BLOCK
 from containers.ray_tracing.twin.columns import COLUMNS, film_column
 from containers.ray_tracing.twin.difference import Difference, Plate
 from containers.ray_tracing.twin.module import ModuleTwin
-from containers.ray_tracing.twin.prediction import EFFECTIVE, Anchor, Shot, Supply, image_of, jacobian, twin_images
+from containers.ray_tracing.twin.prediction import Anchor, Shot, image_of, jacobian, twin_images
 from containers.ray_tracing.twin.reweighting import reweighted
+from containers.ray_tracing.twin.supply import EFFECTIVE, Supply
 from containers.scene import Array, Face, Scene
 from luxloop.camera import Camera
 from luxloop.errors import InputError

@@ -23,7 +23,8 @@ from containers.ray_tracing.monte_carlo import BLOCK
 from containers.ray_tracing.predictor import SHADOW_RAYS, Predictor
 from containers.ray_tracing.simulation import solver_of
 from containers.ray_tracing.twin.columns import CAMERA_COLUMNS, COLUMNS
-from containers.ray_tracing.twin.prediction import Shot, Supply, jacobian, twin_images
+from containers.ray_tracing.twin.prediction import Shot, jacobian, twin_images
+from containers.ray_tracing.twin.supply import Supply
 from containers.ray_tracing.worker import RayComputation
 from containers.scene import Array
 from luxloop.camera import Camera

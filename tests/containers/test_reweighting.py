@@ -15,8 +15,8 @@ from containers.ray_tracing.build import film_faces
 from containers.ray_tracing.exits import Exits, chip_key, make_exits
 from containers.ray_tracing.kernel import EVENT_OF_EXIT, WEIGHT_OF_EXIT
 from containers.ray_tracing.monte_carlo import BLOCK
-from containers.ray_tracing.twin.prediction import Supply
 from containers.ray_tracing.twin.reweighting import lender_of, reweighted
+from containers.ray_tracing.twin.supply import Supply
 from containers.scene import Face, Scene
 from containers.thin_film.table import film_table
 from luxloop.errors import InputError
