@@ -14,7 +14,7 @@ from containers.ray_tracing.kernel import WEIGHT_OF_EXIT
 from containers.ray_tracing.light_map import LightMap
 from containers.ray_tracing.monte_carlo import BLOCK
 from containers.ray_tracing.twin.columns import COLUMNS, film_column
-from containers.ray_tracing.twin.difference import Difference, Plate
+from containers.ray_tracing.twin.difference import Difference, Plate, without_noise
 from containers.ray_tracing.twin.module import ModuleTwin
 from containers.ray_tracing.twin.prediction import Anchor, Shot, image_of, jacobian, twin_images
 from containers.ray_tracing.twin.reweighting import reweighted
@@ -322,3 +322,15 @@ def test_no_room_for_a_step_is_said(dim: tuple[Scene, Exits]) -> None:
     tight = replace(COLUMNS["width_um"], low=dim[0].chip.width_um, high=dim[0].chip.width_um)
     with pytest.raises(InputError, match=r"width_um: .*room for two steps"):
         tight.stencil(dim[0])
+
+
+def test_what_may_be_noise_is_taken_out_of_what_the_twin_misses() -> None:
+    """A hill stays, to some percent of the noise beside it; of noise alone hardly anything is left."""
+    random = np.random.default_rng(5)
+    y, x = np.mgrid[:60, :80]
+    hill = 5.0 * np.exp(-0.5 * (((y - 25.0) / 9.0) ** 2 + ((x - 50.0) / 12.0) ** 2))
+    groups = random.standard_normal((32, *hill.shape)) * np.sqrt(32.0)
+    noise, deviations = groups.mean(axis=0), list(groups - groups.mean(axis=0))
+    assert np.std(without_noise(hill + noise, deviations) - hill) < 0.25 * np.std(noise)
+    assert np.std(without_noise(noise, deviations)) < 0.25 * np.std(noise)
+    np.testing.assert_allclose(without_noise(hill, [0.0 * one for one in deviations]), hill, atol=1e-12)

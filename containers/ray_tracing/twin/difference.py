@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft
 
 from containers.ray_tracing.light_map import LightMap
 from containers.ray_tracing.twin.module import open_array
@@ -91,13 +90,20 @@ def without_noise(missing: Real, deviations: Sequence[Real]) -> Real:
     out of a map: its change of one that has the noise in it would agree with any residual that has it, too.
     """
     groups = len(deviations)
-    waves = fft.dctn(missing, norm="ortho")
-    noise = np.sum([fft.dctn(one, norm="ortho") ** 2 for one in deviations], axis=0) / (groups * (groups - 1.0))
-    along_y, along_x = ((np.arange(count) / count) ** 2 for count in missing.shape)
-    ring = np.rint(np.sqrt(np.add.outer(along_y, along_x)) * max(missing.shape)).astype(int).ravel()
-    power, expected = np.bincount(ring, waves.ravel() ** 2), np.bincount(ring, noise.ravel())
+    waves = _waves(missing)
+    noise = np.sum([np.abs(_waves(one)) ** 2 for one in deviations], axis=0) / (groups * (groups - 1.0))
+    rows, columns = missing.shape
+    length = np.sqrt(np.add.outer(np.fft.fftfreq(2 * rows) ** 2, np.fft.rfftfreq(2 * columns) ** 2))
+    ring = np.rint(2.0 * max(missing.shape) * length).astype(int).ravel()
+    power, expected = (np.bincount(ring, one.ravel()) for one in (np.abs(waves) ** 2, noise))
     kept = np.clip(1.0 - expected / np.where(power > 0.0, power, np.inf), 0.0, 1.0)
-    return np.asarray(fft.idctn(waves * kept[ring].reshape(waves.shape), norm="ortho"))
+    whole = np.fft.irfft2(waves * kept[ring].reshape(waves.shape), (2 * rows, 2 * columns))
+    return np.asarray(whole[:rows, :columns])
+
+
+def _waves(values: Real) -> NDArray[np.complex128]:
+    """The Fourier transform of a map (y, x) that is mirrored at its ends."""
+    return np.asarray(np.fft.rfft2(np.pad(values, [(0, count) for count in values.shape], mode="symmetric")))
 
 
 def _resampled(values: Real, step_um: float, shape: tuple[int, ...], to_um: float) -> Real:
