@@ -81,7 +81,7 @@ def test_options_that_say_nothing_or_less_than_another_are_refused(
         (("where",), ("--histories",)),
         (("calibrate",), ("--histories", "--most-histories")),
         (("diagnose",), ("--histories", "--most-histories")),
-        (("next", "vignetting"), ("--histories", "--most-histories")),
+        (("next", "vignetting", "distortion"), ("--histories", "--most-histories")),
         (("add", "vignetting"), ("--histories", "--most-histories")),
     ],
 )
