@@ -491,23 +491,3 @@ def test_camera_columns_take_no_run_of_the_twin(source: ExitSource) -> None:
     assert len(plain.heard) == len(with_columns.heard)
     anchored = ask(request(columns=names, anchor={"histories": 1}), of)["jacobian_per_mm2"]
     np.testing.assert_allclose(anchored, expected, atol=1e-6 * np.abs(expected).max())
-
-
-def test_differences_about_an_anchor_have_nothing_of_its_noise(source: ExitSource) -> None:
-    """A blur takes noise out of an image: a column with the run's own noise agrees with whatever that run errs by."""
-    of, blur = worker(source), {"name": "camera_psf", "parameters": {"psf_um": 30.0, "profile": "gaussian"}}
-    views = {len(effects): shot(NINE, effects=effects, camera__pixel_um=60.0) for effects in ([], [blur])}
-
-    def images(seed: str, histories: int, **changes: bool) -> list[NDArray[Any]]:
-        about = {"histories": histories, "seed": seed, "shots": [views[0]]}
-        asked = [request(view, anchor=about, **changes) for view in views.values()]
-        return [ask(one, of)["images_per_mm2"][0].ravel() for one in asked]
-
-    truth = images("4", 16 * HISTORIES)[0]
-    own, quiet = images("3", HISTORIES), images("3", HISTORIES, noise=False)
-    assert np.any(quiet[0] != own[0])
-    alike = {}
-    for name, (still, moved) in {"own": own, "quiet": quiet}.items():
-        rows = [one - truth * (one @ truth) / (truth @ truth) for one in (moved - still, truth - own[0])]
-        alike[name] = float(rows[0] @ rows[1] / np.sqrt((rows[0] @ rows[0]) * (rows[1] @ rows[1])))
-    assert abs(alike["quiet"]) < 0.25 < 0.5 < alike["own"], alike
