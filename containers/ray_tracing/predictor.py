@@ -127,7 +127,7 @@ class Predictor:
             at = request.anchor if request.noise else _another(request.anchor)
             anchor = self._anchor(at, job, supply, means)
             shots = anchor.near(shots)
-            found = anchor.predict(shots, supply, cameras, surely=not request.noise, report=steps.image)
+            found = anchor.predict(shots, supply, cameras, report=steps.image)
             arrays = {"images_per_mm2": found.images_per_mm2}
             if request.noise:
                 arrays["noise_per_mm2"] = found.noise_per_mm2.astype(np.float32)
@@ -148,8 +148,9 @@ class Predictor:
         if len(at) != len(wanted) or _size(at[0]) != _size(wanted[0]):
             given, allowed = (f"{len(some)} shots of {_size(some[0])} pixels" for some in (at, wanted))
             raise InputError("anchor.shots", given, allowed, "one for each of the wanted ones, in the same order")
-        decisive = [asked.model_dump(mode="json"), job.request.exit_histories, job.request.exit_seed]
-        key = sha256_of([*decisive, *([] if asked.shots else [shot.model_dump(mode="json") for shot in wanted])])
+        decisive = job.request.model_dump(mode="json", include={"exit_histories", "exit_seed", "noise"})
+        of_wanted = [] if asked.shots else [shot.model_dump(mode="json") for shot in wanted]
+        key = sha256_of([asked.model_dump(mode="json"), decisive, *of_wanted])
 
         def make() -> Anchor:
             shots = _shots(at, "anchor.shots" if asked.shots else "shots", means)
@@ -234,7 +235,8 @@ class _Job:
                 fields[key] = fields.get(key) or known.of(key, float(asked.histories), run_it)
         more = self.supply(supply.lights, UNEVEN_ABOUT)
         of_shots = [fields[key] for key in keys]
-        return Anchor(shots, of_shots, supply, more, report=self.steps.image, **self.options)
+        surely = not self.request.noise
+        return Anchor(shots, of_shots, supply, more, surely, report=self.steps.image, **self.options)
 
     def _field(self, asked: AnchorRequest, wanted: ShotRequest, scene: Scene) -> Field:
         """A module's field by Monte Carlo."""

@@ -114,6 +114,7 @@ class Anchor:
         without the symmetries it has 8 times as much variance. With equally many groups; the same object where one
         run is seen by several cameras. None: no Monte Carlo, only chips whose exits stand for those of others.
     more : tells what unevenness adds at the anchor by more sets of exits than `supply` does; none: that does.
+    surely : what the twin misses is known without what may be noise of the runs, for differences between images.
     """
 
     def __init__(
@@ -122,6 +123,7 @@ class Anchor:
         fields: Sequence[Field] | None,
         supply: Supply,
         more: Supply | None = None,
+        surely: bool = False,
         /,
         *,
         report: Report = nothing,
@@ -130,7 +132,6 @@ class Anchor:
         self.shots, self._options = tuple(shots), options
         size = refuse_several_sizes(shots)
         self._differences: list[Difference] | None = None
-        self._surely: list[Difference] | None = None  # without what may be noise
         self._noise, self._light = np.zeros((0, len(shots), *size), np.float32), np.zeros(len(shots))
         if fields is None:
             return
@@ -151,10 +152,11 @@ class Anchor:
             Difference(of - light.irradiance_per_mm2, light.irradiance_per_mm2, light.step_um, Plate.of(shot.scene))
             for of, light, shot in zip(truth, maps, shots, strict=True)
         ]
-        self._surely = [
-            replace(one, missing=without_noise(one.missing, _deviations(field, shot)))
-            for one, field, shot in zip(self._differences, fields, even, strict=True)
-        ]
+        if surely:
+            self._differences = [
+                replace(one, missing=without_noise(one.missing, _deviations(field, shot)))
+                for one, field, shot in zip(self._differences, fields, even, strict=True)
+            ]
         self._light = _seen(shots, maps).sum(axis=(1, 2))
 
     def predict(
@@ -163,16 +165,11 @@ class Anchor:
         supply: Supply,
         cameras: Sequence[CameraColumn] = (),
         *,
-        surely: bool = False,
         report: Report = nothing,
     ) -> Prediction:
-        """The images of the same shots at other parameters, by the exits of the anchor's chips where they can be.
-
-        `surely`: with what the twin misses without what may be noise of the run, for differences between images.
-        """
+        """The images of the same shots at other parameters, by the exits of the anchor's chips where they can be."""
         near = self.near(shots)
-        differences = self._surely if surely else self._differences
-        images, of_camera, twin = _views(near, supply, cameras, differences, report=report, **self._options)
+        images, of_camera, twin = _views(near, supply, cameras, self._differences, report=report, **self._options)
         share = _share_of(twin.sum(axis=(1, 2)), self._light)[:, None, None]
         return Prediction(images, share * self._noise, of_camera, twin)
 
@@ -185,8 +182,7 @@ class Anchor:
     @property
     def nbytes(self) -> int:
         """In memory."""
-        held: list[Difference] = [*(self._differences or ()), *(self._surely or ())]
-        return int(self._noise.nbytes) + sum(one.nbytes for one in held)
+        return int(self._noise.nbytes) + sum(one.nbytes for one in self._differences or ())
 
 
 def _share_of(light: Any, before: Any) -> Real:
