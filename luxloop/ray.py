@@ -109,6 +109,6 @@ class PredictionRequest(Words):
     shots: tuple[ShotRequest, ...] = Field(min_length=1, max_length=64, description="Images of one size.")
     columns: tuple[Name, ...] = Field((), max_length=64, description="Parameters to differentiate by.")
     anchor: AnchorRequest | None = None
-    noise: bool = Field(True, description="Of the anchor's Monte Carlo: in the images, and told; else in neither.")
+    noise: bool = Field(True, description="Told, and in the images; else they are by another run, for differences.")
     exit_histories: int = Field(131_072, ge=1, le=524_288, description="Whose exits the twin lands.")
     exit_seed: Seed = Field("1", description="Of the walk inside the chip.")

@@ -189,11 +189,11 @@ class Field:
         James-Stein rule, where power is the sum of the squared means of the ring and noise the sum of their
         variances. Less rough than the mean; not unbiased, so no result is read from it.
         """
-        mean, variance = self.coefficients.mean(axis=0), _variance(self.coefficients)
+        mean = self.coefficients.mean(axis=0)
         k_x, k_y = self.x.wavenumber_per_um, self.y.wavenumber_per_um
         ring = np.rint(np.sqrt(np.add.outer(k_y**2, k_x**2)) / min(k_x[1], k_y[1])).astype(int)
-        power, noise = np.bincount(ring.ravel(), mean.ravel() ** 2), np.bincount(ring.ravel(), variance.ravel())
-        kept = np.clip(1.0 - noise / np.where(power > 0.0, power, np.inf), 0.0, 1.0)
+        power, noise = np.bincount(ring.ravel(), mean.ravel() ** 2), np.bincount(ring.ravel(), self.variance.ravel())
+        kept = beyond_noise(power, noise)
         kept[0] = 1.0
         return replace(self, coefficients=(mean * kept[ring])[None])
 
@@ -205,9 +205,14 @@ class Field:
         """
         if self.tallied_variance is None:
             return 0.0
-        tallied, kept = self.tallied_variance.copy(), _variance(self.coefficients)
+        tallied, kept = self.tallied_variance.copy(), self.variance
         tallied[0, 0] = kept[0, 0] = 0.0
         return float(np.clip(1.0 - kept.sum() / tallied.sum(), 0.0, 1.0)) if tallied.any() else 0.0
+
+    @property
+    def variance(self) -> Real:
+        """Of the mean over groups of each coefficient, (function along y, function along x)."""
+        return _variance(self.coefficients)
 
     @property
     def groups(self) -> int:
@@ -350,6 +355,12 @@ class ModuleField(Field):
         bound = float(np.sum(lambert_transform(at) * at) * 0.05 / (2.0 * np.pi)) / (1e-6 * height_um**2)
         histories = round(histories_per_chip * len(tally))
         return cls(coefficients, x, y, histories, bound, 1e6, _variance(coefficients))
+
+
+def beyond_noise(power: ArrayLike, noise: ArrayLike) -> Real:
+    """Factors max(0, 1 - noise / power) that leave of each part what noise does not explain: the James-Stein rule."""
+    whole = np.asarray(power, float)
+    return np.clip(1.0 - np.asarray(noise, float) / np.where(whole > 0.0, whole, np.inf), 0.0, 1.0)
 
 
 def _coefficients(values: Real, x: Axis, y: Axis, weight: Real) -> Real:

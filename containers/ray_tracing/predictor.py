@@ -124,8 +124,7 @@ class Predictor:
             images, of_camera = twin_views(shots, supply, cameras, report=steps.image, **job.options)
             arrays: Arrays = {"images_per_mm2": images}
         else:
-            at = request.anchor if request.noise else _another(request.anchor)
-            anchor = self._anchor(at, job, supply, means)
+            anchor = self._anchor(_run_of(request.anchor, request.noise), job, supply, means)
             shots = anchor.near(shots)
             found = anchor.predict(shots, supply, cameras, report=steps.image)
             arrays = {"images_per_mm2": found.images_per_mm2}
@@ -142,7 +141,7 @@ class Predictor:
         return _document(request), arrays
 
     def _anchor(self, asked: AnchorRequest, job: _Job, supply: Supply, means: Means) -> Anchor:
-        """The anchor of a request: one of those kept, or made anew."""
+        """The anchor of a request: one of those kept, or made anew; without a run there is nothing to keep."""
         wanted = job.request.shots
         at = asked.shots or wanted
         if len(at) != len(wanted) or _size(at[0]) != _size(wanted[0]):
@@ -156,7 +155,7 @@ class Predictor:
             shots = _shots(at, "anchor.shots" if asked.shots else "shots", means)
             return job.anchor(asked, at, shots, supply, self._fields)
 
-        return self._anchors.of(key, float(asked.histories), make)
+        return self._anchors.of(key, float(asked.histories), make) if asked.histories else make()
 
 
 class _Steps:
@@ -194,12 +193,16 @@ class _Job:
         blocks = blocks_of(self.request.exit_histories) // BLOCK
         return {"blocks": blocks, "shadow_rays": SHADOW_RAYS, "threads": self.threads}
 
-    def supply(self, lights: Lights, uneven: int = UNEVEN_HISTORIES) -> Supply:
-        """Exits of chips with notes, as many blocks as are used or more; for unevenness so many histories in sets."""
+    def supply(self, lights: Lights, uneven: int = UNEVEN_HISTORIES, *, apart: bool = False) -> Supply:
+        """Exits of chips with notes, as many blocks as are used or more; for unevenness so many histories in sets.
+
+        `apart` : none of them are those of a supply that is not apart.
+        """
         used = self.options["blocks"]
         blocks = -(-used // BATCH) * BATCH  # whole batches are not copied
         sets = -(-uneven // (GROUPS * used * BLOCK))
-        first, *others = (partial(self._exits, blocks, number * blocks) for number in range(sets))
+        numbers = range(sets, 2 * sets) if apart else range(sets)
+        first, *others = (partial(self._exits, blocks, number * blocks) for number in numbers)
         return Supply(first, lights, others)
 
     def _exits(self, blocks: int, first_block: int, scene: Scene) -> Exits:
@@ -227,15 +230,16 @@ class _Job:
         run = asked.model_dump(mode="json", exclude={"shots"}) | {"exit_seed": self.request.exit_seed}
         seeds = [_seed_of(asked, wanted) for wanted in at]
         keys = [sha256_of([run, seed, *_keys(shot)]) for seed, shot in zip(seeds, even, strict=True)]
-        self.steps.total += RUN_STEPS * sum(key not in known for key in set(keys)) + 2 * len(shots)
+        maps = sum(1 + self.request.noise + 3 * (one is not shot) for one, shot in zip(even, shots, strict=True))
+        self.steps.total += RUN_STEPS * sum(key not in known for key in set(keys)) + maps
         fields: dict[str, Field] = {}  # all of them are needed at once, however few are kept
         for key, wanted, shot in zip(keys, at, even, strict=True):
             with named(shot.name):
                 run_it = partial(self._field, asked, wanted, shot.traced)
                 fields[key] = fields.get(key) or known.of(key, float(asked.histories), run_it)
-        more = self.supply(supply.lights, UNEVEN_ABOUT)
-        of_shots = [fields[key] for key in keys]
         surely = not self.request.noise
+        more = self.supply(supply.lights, UNEVEN_ABOUT, apart=surely)
+        of_shots = [fields[key] for key in keys]
         return Anchor(shots, of_shots, supply, more, surely, report=self.steps.image, **self.options)
 
     def _field(self, asked: AnchorRequest, wanted: ShotRequest, scene: Scene) -> Field:
@@ -314,10 +318,14 @@ def _size(shot: ShotRequest) -> str:
     return f"{shot.camera.rows} x {shot.camera.columns}"
 
 
-def _another(anchor: AnchorRequest) -> AnchorRequest:
-    """An anchor at the same place, by a run whose noise has nothing in common with its own."""
-    if not anchor.histories:
+def _run_of(anchor: AnchorRequest, noise: bool) -> AnchorRequest:
+    """The anchor whose run is taken: without its noise one at the same place by another run, which has nothing in
+    common with its own."""
+    if noise or not anchor.histories:
         return anchor
+    if anchor.stored_exits:
+        mend = "the other run would land the same exits: full histories, or noise = true"
+        raise InputError("anchor.stored_exits", True, "false where noise = false", mend)
     histories = min(anchor.histories, max(anchor.histories // FEWER, ENOUGH))
     return anchor.model_copy(update={"seed": str(int(anchor.seed) ^ OTHER_RUN), "histories": histories})
 
@@ -394,8 +402,8 @@ def _open(shot: ShotRequest) -> Cell | Array:
 
 
 def _document(request: PredictionRequest) -> Document:
-    """What was computed, with counts as they were rounded up to whole blocks."""
-    anchor = request.anchor
+    """What was computed, of the run that was taken, with counts as they were rounded up to whole blocks."""
+    anchor = None if request.anchor is None else _run_of(request.anchor, request.noise)
     of_anchor = (
         {}
         if anchor is None

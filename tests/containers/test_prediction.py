@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from containers.bsdf import GaussianLobe
 from containers.ray_tracing.exits import Exits, chip_key, make_exits
+from containers.ray_tracing.field import ModuleField
 from containers.ray_tracing.kernel import WEIGHT_OF_EXIT
 from containers.ray_tracing.light_map import LightMap
 from containers.ray_tracing.monte_carlo import BLOCK
@@ -326,11 +327,15 @@ def test_no_room_for_a_step_is_said(dim: tuple[Scene, Exits]) -> None:
 
 def test_what_may_be_noise_is_taken_out_of_what_the_twin_misses() -> None:
     """A hill stays, to some percent of the noise beside it; of noise alone hardly anything is left."""
-    random = np.random.default_rng(5)
-    y, x = np.mgrid[:60, :80]
-    hill = 5.0 * np.exp(-0.5 * (((y - 25.0) / 9.0) ** 2 + ((x - 50.0) / 12.0) ** 2))
-    groups = random.standard_normal((32, *hill.shape)) * np.sqrt(32.0)
-    noise, deviations = groups.mean(axis=0), list(groups - groups.mean(axis=0))
-    assert np.std(without_noise(hill + noise, deviations) - hill) < 0.25 * np.std(noise)
-    assert np.std(without_noise(noise, deviations)) < 0.25 * np.std(noise)
-    np.testing.assert_allclose(without_noise(hill, [0.0 * one for one in deviations]), hill, atol=1e-12)
+    random, step_um = np.random.default_rng(5), 5.0
+    x, y = ((np.arange(count) + 0.5 - count / 2.0) * step_um for count in (80, 60))
+    hill = 5.0 * np.exp(-0.5 * (np.add.outer(((y + 25.0) / 45.0) ** 2, ((x - 50.0) / 60.0) ** 2)))
+    bins = 1.0 + random.standard_normal((32, 120, 160))
+    box_um = -200.0, 200.0, -150.0, 150.0
+    field = ModuleField.from_bins(bins, 4e-4, box_um, height_um=8.0 * step_um)
+    noise = field.grid(x, y).mean(axis=0) - field.mean
+    still = replace(field, coefficients=np.repeat(field.coefficients[:1], 32, axis=0))
+    assert np.std(noise) > 0.1
+    assert np.std(without_noise(hill + noise, step_um, field) - hill) < 0.25 * np.std(noise)
+    assert np.std(without_noise(noise, step_um, field)) < 0.25 * np.std(noise)
+    np.testing.assert_allclose(without_noise(hill, step_um, still), hill, atol=1e-12)

@@ -160,9 +160,11 @@ class Evaluation:
     def others(self) -> list[Predicted]:
         """The derivatives by the model's parameters once more, by the exits of another walk inside the chips.
 
-        Those of all light are the same: their noise is the anchor's, and no walk's.
+        Those of all light are the same: what noise they have is that of one run of Monte Carlo for both.
         """
-        anchor, paths = self.problem.anchor, self.problem.unknowns.model_paths
+        anchor = self.problem.anchor
+        same = frozenset[str]().union(*(one.of_all_light for one in self.predicted))
+        paths = [path for path in self.problem.unknowns.model_paths if path not in same]
         if anchor is None or not paths:
             return self.predicted
         views = self.problem.views(self.model, self.by_name)
@@ -178,7 +180,10 @@ class Evaluation:
         ]
 
     def other_columns(self, white: Whitening, others: Sequence[Predicted]) -> Real:
-        """The columns once more, with noise of their own that is independent: gains by the anchored image."""
+        """The columns once more, with noise of their own that is independent but of all light's (`others`).
+
+        Gains by the anchored image.
+        """
         predicted = [
             replace(
                 one,

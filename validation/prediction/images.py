@@ -97,7 +97,7 @@ class Wanted:
     by_chance: frozenset[str] = frozenset()
     """Names of effects that send a share of the light, drawn by chance, another way."""
     noise: bool = True
-    """Of the anchor's Monte Carlo, with the images."""
+    """Of the anchor's Monte Carlo, with the images; else these are by another run, and good for differences alone."""
 
     @property
     def exit_seed(self) -> str:
@@ -258,12 +258,13 @@ def _image_request(wanted: Wanted, views: Sequence[View], group: Sequence[int]) 
     anchored = tuple(_shot(at.model, view, wanted.film_of) for view in seen)
     histories = at.histories_of(views[group[0]].sample.id)
     anchor = AnchorRequest(shots=anchored, histories=histories, seed=str(at.seed), stored_exits=at.stored_exits)
+    exits = {} if wanted.noise else {"exit_histories": COLUMN_EXITS}
     seed, noise = wanted.exit_seed, wanted.noise
-    return PredictionRequest(shots=shots, columns=wanted.poses, anchor=anchor, exit_seed=seed, noise=noise)
+    return PredictionRequest(shots=shots, columns=wanted.poses, anchor=anchor, exit_seed=seed, noise=noise, **exits)
 
 
 def _moved_request(wanted: Wanted, views: Sequence[View], model: Model, group: Sequence[int]) -> PredictionRequest:
-    """The same of a moved model, about the same anchor; what noise that has is known."""
+    """The same of a moved model, for a difference about the same place: by a run whose noise is not the images'."""
     return _image_request(replace(wanted, model=model, paths=(), noise=False), views, group)
 
 

@@ -69,7 +69,8 @@ class Predictor:
         paths : parameters of the model, and names of `POSE_COLUMNS`, to differentiate by.
         anchor : where Monte Carlo is run; none: the twin alone. Derivatives by parameters that no worker
             differentiates (all but reflectances, the substrate's sigma, absorption and poses) are then those there.
-        noise : of the anchor's Monte Carlo, with the images; without it they are a fraction of its size.
+        noise : of the anchor's Monte Carlo, with the images. Without it they are by another run, whose noise is not
+            theirs, for differences between images of one anchor.
 
         Raises
         ------

@@ -7,12 +7,12 @@ stretches or darkens is all of it.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from containers.ray_tracing.field import Field, beyond_noise
 from containers.ray_tracing.light_map import LightMap
 from containers.ray_tracing.twin.module import open_array
 from containers.scene import Scene
@@ -83,27 +83,24 @@ class Difference:
         return int(self.missing.nbytes + self.twin.nbytes)
 
 
-def without_noise(missing: Real, deviations: Sequence[Real]) -> Real:
-    """A map (y, x) without what may be noise, which independent groups' `deviations` (y, x) from their mean tell.
+def without_noise(missing: Real, step_um: float, field: Field) -> Real:
+    """A map (y, x) with the noise of a field's mean in it, without what may be noise.
 
-    Waves of nearly equal length share a factor max(0, 1 - noise / power), the James-Stein rule. A blur takes noise
-    out of a map: its change of one that has the noise in it would agree with any residual that has it, too.
+    Waves of nearly equal length share a factor, as those of `Field.denoised` do. A blur takes noise out of a map: its
+    change of one that has the noise in it would agree with any residual that has it, too.
     """
-    groups = len(deviations)
-    waves = _waves(missing)
-    noise = np.sum([np.abs(_waves(one)) ** 2 for one in deviations], axis=0) / (groups * (groups - 1.0))
     rows, columns = missing.shape
-    length = np.sqrt(np.add.outer(np.fft.fftfreq(2 * rows) ** 2, np.fft.rfftfreq(2 * columns) ** 2))
-    ring = np.rint(2.0 * max(missing.shape) * length).astype(int).ravel()
-    power, expected = (np.bincount(ring, one.ravel()) for one in (np.abs(waves) ** 2, noise))
-    kept = np.clip(1.0 - expected / np.where(power > 0.0, power, np.inf), 0.0, 1.0)
-    whole = np.fft.irfft2(waves * kept[ring].reshape(waves.shape), (2 * rows, 2 * columns))
+    longest_um = 2.0 * step_um * max(rows, columns)
+    waves = np.fft.rfft2(np.pad(missing, [(0, count) for count in missing.shape], mode="symmetric"))
+    per_um = np.fft.fftfreq(2 * rows, step_um), np.fft.rfftfreq(2 * columns, step_um)
+    ring = np.rint(longest_um * np.hypot.outer(*per_um)).astype(int)
+    of_both_signs = np.where(np.arange(columns + 1) % columns == 0, 1.0, 2.0) / (4.0 * rows * columns) ** 2
+    power = np.bincount(ring.ravel(), (of_both_signs * (waves.real**2 + waves.imag**2)).ravel())
+    modes = np.hypot.outer(field.y.wavenumber_per_um, field.x.wavenumber_per_um) / (2.0 * np.pi)
+    number = np.minimum(np.rint(longest_um * modes).astype(int), len(power) - 1)
+    noise = np.bincount(number.ravel(), field.variance.ravel(), len(power))
+    whole = np.fft.irfft2(waves * beyond_noise(power, noise)[ring], (2 * rows, 2 * columns))
     return np.asarray(whole[:rows, :columns])
-
-
-def _waves(values: Real) -> NDArray[np.complex128]:
-    """The Fourier transform of a map (y, x) that is mirrored at its ends."""
-    return np.asarray(np.fft.rfft2(np.pad(values, [(0, count) for count in values.shape], mode="symmetric")))
 
 
 def _resampled(values: Real, step_um: float, shape: tuple[int, ...], to_um: float) -> Real:

@@ -114,7 +114,8 @@ class Anchor:
         without the symmetries it has 8 times as much variance. With equally many groups; the same object where one
         run is seen by several cameras. None: no Monte Carlo, only chips whose exits stand for those of others.
     more : tells what unevenness adds at the anchor by more sets of exits than `supply` does; none: that does.
-    surely : what the twin misses is known without what may be noise of the runs, for differences between images.
+    surely : what the twin misses is known without what may be noise of the runs, for differences between images; the
+        noise itself is not told.
     """
 
     def __init__(
@@ -139,24 +140,26 @@ class Anchor:
             raise InputError("fields", len(fields), f"{len(shots)}, one for each shot, with equally many groups")
         even = [shot.evenly_lit() for shot in shots]
         maps = twin_maps(even, supply, report=report, **options)
-        self._noise = _noise_of(fields, even, _seen(even, maps), report, options.get("threads"))
+        if not surely:
+            self._noise = _noise_of(fields, even, _seen(even, maps), report, options.get("threads"))
         truth = [_mean_map(field, shot) for field, shot in zip(fields, even, strict=True)]
         if any(one is not other for one, other in zip(even, shots, strict=True)):
-            uneven = twin_maps(shots, more or supply, report=report, **options)
+            uneven, evenly = (twin_maps(some, more or supply, report=report, **options) for some in (shots, even))
             truth = [
-                of + shining.irradiance_per_mm2 - evenly.irradiance_per_mm2
-                for of, shining, evenly in zip(truth, uneven, maps, strict=True)
+                of + shining.irradiance_per_mm2 - without.irradiance_per_mm2
+                for of, shining, without in zip(truth, uneven, evenly, strict=True)
             ]
             maps = twin_maps(shots, supply, report=report, **options)
-        self._differences = [
-            Difference(of - light.irradiance_per_mm2, light.irradiance_per_mm2, light.step_um, Plate.of(shot.scene))
-            for of, light, shot in zip(truth, maps, shots, strict=True)
-        ]
+        missing = [of - light.irradiance_per_mm2 for of, light in zip(truth, maps, strict=True)]
         if surely:
-            self._differences = [
-                replace(one, missing=without_noise(one.missing, _deviations(field, shot)))
-                for one, field, shot in zip(self._differences, fields, even, strict=True)
+            missing = [
+                without_noise(one, light.step_um, field)
+                for one, light, field in zip(missing, maps, fields, strict=True)
             ]
+        self._differences = [
+            Difference(one, light.irradiance_per_mm2, light.step_um, Plate.of(shot.scene))
+            for one, light, shot in zip(missing, maps, shots, strict=True)
+        ]
         self._light = _seen(shots, maps).sum(axis=(1, 2))
 
     def predict(
@@ -189,12 +192,6 @@ def _share_of(light: Any, before: Any) -> Real:
     """Light in that of an anchor's twin, 1 where that has none."""
     light, before = np.asarray(light, float), np.asarray(before, float)
     return np.asarray(np.divide(light, before, out=np.ones_like(light), where=before > 0.0))
-
-
-def _deviations(field: Field, shot: Shot) -> list[Real]:
-    """How far the maps (y, x) of a field's groups are from their mean, at the samples of a shot."""
-    apart = field.coefficients - field.coefficients.mean(axis=0)
-    return [_mean_map(replace(field, coefficients=one[None]), shot) for one in apart]
 
 
 def _mean_map(field: Field, shot: Shot) -> Real:
