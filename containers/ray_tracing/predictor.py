@@ -230,14 +230,15 @@ class _Job:
         run = asked.model_dump(mode="json", exclude={"shots"}) | {"exit_seed": self.request.exit_seed}
         seeds = [_seed_of(asked, wanted) for wanted in at]
         keys = [sha256_of([run, seed, *_keys(shot)]) for seed, shot in zip(seeds, even, strict=True)]
-        maps = sum(1 + self.request.noise + 3 * (one is not shot) for one, shot in zip(even, shots, strict=True))
-        self.steps.total += RUN_STEPS * sum(key not in known for key in set(keys)) + maps
+        surely = not self.request.noise
+        uneven = any(one is not shot for one, shot in zip(even, shots, strict=True))
+        images = 4 if uneven else 1 + self.request.noise  # of each shot
+        self.steps.total += RUN_STEPS * sum(key not in known for key in set(keys)) + images * len(shots)
         fields: dict[str, Field] = {}  # all of them are needed at once, however few are kept
         for key, wanted, shot in zip(keys, at, even, strict=True):
             with named(shot.name):
                 run_it = partial(self._field, asked, wanted, shot.traced)
                 fields[key] = fields.get(key) or known.of(key, float(asked.histories), run_it)
-        surely = not self.request.noise
         more = self.supply(supply.lights, UNEVEN_ABOUT, apart=surely)
         of_shots = [fields[key] for key in keys]
         return Anchor(shots, of_shots, supply, more, surely, report=self.steps.image, **self.options)

@@ -338,4 +338,6 @@ def test_what_may_be_noise_is_taken_out_of_what_the_twin_misses() -> None:
     assert np.std(noise) > 0.1
     assert np.std(without_noise(hill + noise, step_um, field) - hill) < 0.25 * np.std(noise)
     assert np.std(without_noise(noise, step_um, field)) < 0.25 * np.std(noise)
+    twice = without_noise(2.0 * noise, step_um, field)  # a quarter of its power is noise: 3/4 of it stay
+    assert np.std(twice) == pytest.approx(0.75 * 2.0 * np.std(noise), rel=0.1)
     np.testing.assert_allclose(without_noise(hill, step_um, still), hill, atol=1e-12)

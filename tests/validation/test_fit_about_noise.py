@@ -36,10 +36,11 @@ from validation.fit.descent import crossed
 from validation.fit.least_squares import Step, reduce
 from validation.fit.model_noise import noise_shares
 from validation.fit.parameters import Unknowns
+from validation.fit.problem import Evaluation
 from validation.fit.result import MOST_MODEL_NOISE, WANTED_NOISE
 from validation.noise import histories_for
 from validation.observed import Observed
-from validation.prediction import Anchored, Pose, View
+from validation.prediction import Anchored, Pose, Predicted, View
 
 
 def test_noise_of_the_monte_carlo_widens_the_errors():
@@ -337,3 +338,26 @@ def test_a_last_step_that_takes_all_light_is_not_taken(monkeypatch):
     assert not found.converged
     assert any(reason.startswith(NOT_CONVERGED) for reason in found.distrust)
     assert found.value("single-a.gain") == pytest.approx(300.0, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("of_all_light", "expected"), [((), [[SIGMA, HALO]]), ((HALO,), [[SIGMA]]), ((SIGMA, HALO), [])]
+)
+def test_no_other_walk_is_asked_for_of_columns_of_all_light(of_all_light, expected):
+    """They have no walk's noise: they stay as they are, and only the rest is asked for once more."""
+    asked, image, other = [], np.ones((2, 2)), np.zeros((2, 2))
+
+    def images(model, views, paths, anchor):
+        asked.append(list(paths))
+        return [Predicted(image, dict.fromkeys(paths, other))]
+
+    problem = SimpleNamespace(
+        anchor=Anchored(MODEL, 1000),
+        unknowns=SimpleNamespace(model_paths=(SIGMA, HALO)),
+        views=lambda *_: [],
+        predictor=SimpleNamespace(images=images),
+    )
+    predicted = Predicted(image, {SIGMA: image, HALO: image}, of_all_light=frozenset(of_all_light))
+    (found,) = Evaluation(problem, np.zeros(0), {}, MODEL, [predicted], []).others()
+    assert asked == expected
+    assert {name for name, one in found.jacobian_per_mm2.items() if one is image} == set(of_all_light)

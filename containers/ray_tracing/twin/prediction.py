@@ -144,7 +144,8 @@ class Anchor:
             self._noise = _noise_of(fields, even, _seen(even, maps), report, options.get("threads"))
         truth = [_mean_map(field, shot) for field, shot in zip(fields, even, strict=True)]
         if any(one is not other for one, other in zip(even, shots, strict=True)):
-            uneven, evenly = (twin_maps(some, more or supply, report=report, **options) for some in (shots, even))
+            uneven = twin_maps(shots, more or supply, report=report, **options)
+            evenly = twin_maps(even, more or supply, report=report, **options) if surely else maps
             truth = [
                 of + shining.irradiance_per_mm2 - without.irradiance_per_mm2
                 for of, shining, without in zip(truth, uneven, evenly, strict=True)

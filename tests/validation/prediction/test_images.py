@@ -22,7 +22,6 @@ from tests.validation.workers import Workers
 from validation.diagnose.columns import FitSight
 from validation.effects.known import Known
 from validation.effects.signatures import Sight, signature
-from validation.fit.problem import Evaluation
 from validation.prediction import POSE_COLUMNS, Anchored, Pose, Predictor
 from validation.prediction import images as images_module
 from validation.prediction.differences import moved_models
@@ -311,9 +310,6 @@ def test_derivatives_by_a_lens_are_of_all_the_light_that_an_anchor_knows(workers
         np.testing.assert_allclose(column.parts[number], by_square, atol=1e-9 * np.abs(by_square).max())
     quiet = [one for one in workers.asked if isinstance(one, PredictionRequest) and not one.noise]
     assert {one.exit_histories for one in quiet} == {images_module.COLUMN_EXITS}
-    problem = SimpleNamespace(anchor=at, unknowns=SimpleNamespace(model_paths=(path,)))
-    evaluation = Evaluation(problem, np.zeros(0), {}, there, found, [])  # type: ignore[arg-type]  # duck
-    assert evaluation.others() is found, "no other walk of these is asked for"
 
 
 def test_a_derivative_that_the_worker_has_is_taken_once(workers: Workers, model: Model) -> None:
