@@ -5,7 +5,8 @@
 A Gaussian spot of sd 60 um on a map of 313 x 313 samples, 6.4 um apart, seen by 128 x 128 pixels of 8 um that are
 turned by 0.3 deg and shifted. Best and median of warm runs; error: largest deviation from the analytic mean over each
 pixel, as a share of the peak. scipy: `affine_transform` (cubic, with its prefilter) at the centres of pixels or at
-3 x 3 Gauss points in each, `gaussian_filter` for the PSF and, on the map, for the glare.
+3 x 3 Gauss points in each, `gaussian_filter` for the PSF and, on the map, for the glare; for blur that changes over
+the image `map_coordinates` at our rays, or seven Gauss and Hermite's points along either axis.
 """
 
 from __future__ import annotations
@@ -22,6 +23,8 @@ import numpy as np
 from scipy import ndimage
 from scipy.special import erf
 
+from containers.lens import unevenly_blurred
+from containers.ray_tracing.aberrations import rays_of
 from containers.ray_tracing.camera import expected_image, irradiance_image, pixels, receiver_points
 from containers.ray_tracing.light_map import LightMap, spline_of
 from luxloop.camera import Camera
@@ -34,6 +37,7 @@ ALL: dict[str, Any] = {
     **GLARE, "vignetting": 0.1, "magnification_error": 0.003, "distortion": 0.01, "nonlinearity": 0.01,
     "saturation_knee": 0.9, "ambient_dn": (1.0, 2.0), "gain_dn": 50.0,
 }  # fmt: skip
+CORNER_UM = 30.0
 MOFFAT: dict[str, Any] = {**PSF, "psf": "moffat3.5"}
 
 
@@ -88,6 +92,37 @@ def scipy_image(light: LightMap, camera: Camera, gauss_points: bool) -> Any:
     return image[margin : margin + 128, margin : margin + 128]
 
 
+def blurred_spot(camera: Camera) -> Any:
+    """Closed form: the spot and its pixel, widened by what stands at each pixel's place, all as Gaussians."""
+    x, y, side = receiver_points(camera, pixels(128), pixels(128))
+    square = SD_UM**2 + side**2 / 12.0 + (CORNER_UM * radius2()) ** 2
+    r2 = (x - AT_UM[0]) ** 2 + (y - AT_UM[1]) ** 2
+    return 1e6 * np.exp(-r2 / 2.0 / square) / (2.0 * np.pi * square)
+
+
+def radius2() -> Any:
+    """Square of the distance of each pixel from the image's centre, 1 at its corner."""
+    from_axis = (pixels(128) - 63.5) ** 2
+    return (from_axis + from_axis[:, None]) / (2.0 * 64.0**2)
+
+
+def scipy_rays(light: LightMap, camera: Camera, hermite: bool) -> Any:
+    """Point samples of the map's spline about each pixel's place."""
+    x, y, _ = receiver_points(camera, pixels(128), pixels(128))
+    ours = rays_of(camera, pixels(128), pixels(128), STEP_UM)
+    displaced = [(w, *(u * ours.by_u_um + v * ours.by_v_um)) for w, u, v in ours.rule.T]
+    if hermite:
+        node, weight = np.polynomial.hermite_e.hermegauss(7)
+        sd, of = CORNER_UM * radius2(), weight / weight.sum()
+        displaced = [(of[i] * of[j], sd * node[i], sd * node[j]) for i in range(7) for j in range(7)]
+    spline = ndimage.spline_filter(light.irradiance_per_mm2, 3, mode="reflect")
+    found, middle = np.zeros(x.shape), (SAMPLES - 1) / 2
+    for weight, dx, dy in displaced:
+        at = [(y + dy) / STEP_UM + middle, (x + dx) / STEP_UM + middle]
+        found += weight * ndimage.map_coordinates(spline, at, order=3, mode="reflect", prefilter=False)
+    return found
+
+
 def times_ms(function: Callable[[], Any], runs: int) -> tuple[float, float]:
     """Best and median of warm runs."""
     function()
@@ -121,8 +156,16 @@ def main() -> None:
             line(f"{name}: {how}", run, truth, 5)
     line("all steps and effects on: ours", lambda: expected_image(light, Camera(**ALL)))
     line("geometry and Moffat PSF 5 um: ours", lambda: irradiance_image(light, Camera(**MOFFAT)))
+    uneven = unevenly_blurred(Camera(**GEOMETRY), "round", CORNER_UM)
+    truth = blurred_spot(uneven)
+    line("geometry and blur off the axis, 30 um: ours", lambda: irradiance_image(light, uneven), truth, 5)
+    line("  scipy, point samples at our 91 rays", lambda: scipy_rays(light, uneven, False), truth, 3)
+    line("  scipy, point samples at 7 x 7 points", lambda: scipy_rays(light, uneven, True), truth, 3)
+    along = unevenly_blurred(Camera(**GEOMETRY), "radial", CORNER_UM)
+    line("geometry and blur along the radius, 30 um: ours", lambda: irradiance_image(light, along), None, 5)
     batch = LightMap(np.repeat(light.irradiance_per_mm2[None], 32, axis=0), light.origin_um, STEP_UM)
     line("all linear steps, 32 maps at once, each: ours", lambda: irradiance_image(batch, Camera(**ALL)), None, 5, 32)
+    line("blur off the axis, 32 maps at once, each: ours", lambda: irradiance_image(batch, uneven), None, 2, 32)
     six = [Camera(**{**ALL, "shift_px": (0.1 * k, 0.2)}) for k in range(6)]
     line("six cameras, all on, together: ours", lambda: [expected_image(light, camera) for camera in six], None, 20)
     line("  of each the spline of the map: ours", lambda: spline_of(light))

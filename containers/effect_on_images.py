@@ -46,7 +46,7 @@ def _camera_seen(camera: Camera) -> list[Seen]:
 
 
 def _refuse_camera(camera: Camera) -> None:
-    parse(Camera, camera.model_dump(), "camera")
+    parse(type(camera), camera.model_dump(), "camera")
     for name in ("rows", "columns", "pixel_um"):
         if getattr(camera, name) != getattr(CAMERA, name):
             allowed = f"{getattr(CAMERA, name)}"

@@ -1,13 +1,13 @@
 """A camera whose lens has several blurs or vignettings: its own, as a request words it, and those that effects add.
 
-    image * PSF * PSF' ...  x  law(r) law'(r) ...
+    image, each pixel blurred by its own  * PSF * PSF' ...  x  law(r) law'(r) ...
 
-Both products do not depend on their order and are smooth where one of their factors vanishes.
+Products do not depend on their order and are smooth where one of their factors vanishes; so are variances, that add.
 """
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field
@@ -16,6 +16,9 @@ from luxloop.camera import Camera
 
 Psf = Literal["gaussian", "moffat2.5", "moffat3.5", "moffat4.5"]
 Law = Literal["quadratic", "cos4"]
+Uneven = Literal["round", "radial", "tangential", "tilted"]
+"""Blurs that change over the image like r^2, all ways, along the radius or across it; or all ways, like one axis."""
+Width = Annotated[float, Field(ge=0.0, le=200.0)]
 
 
 class Lens(Camera):
@@ -23,6 +26,9 @@ class Lens(Camera):
 
     more_psf: tuple[tuple[Psf, float], ...] = Field((), description="Kinds and standard deviations in um.")
     more_vignetting: tuple[tuple[Law, float], ...] = Field((), description="Laws and losses at the corner.")
+    uneven_psf: tuple[tuple[Uneven, Width, float], ...] = Field(
+        (), description="Laws, standard deviations in um at r = 1, and directions in deg from x towards y."
+    )
 
 
 def blurred(camera: Camera, psf: Psf, psf_um: float) -> Camera:
@@ -33,6 +39,12 @@ def blurred(camera: Camera, psf: Psf, psf_um: float) -> Camera:
         return camera.model_copy(update={"psf_um": float(np.hypot(camera.psf_um, psf_um))})
     lens = _lens(camera)
     return lens.model_copy(update={"more_psf": (*lens.more_psf, (psf, psf_um))})
+
+
+def unevenly_blurred(camera: Camera, law: Uneven, sd_um: float, direction_deg: float = 0.0) -> Camera:
+    """The camera with one more blur of this standard deviation on the receiver as far from the axis as the corner."""
+    lens = _lens(camera)
+    return lens.model_copy(update={"uneven_psf": (*lens.uneven_psf, (law, sd_um, direction_deg))})
 
 
 def darkened(camera: Camera, law: Law, loss: float) -> Camera:
@@ -53,6 +65,16 @@ def vignettings(camera: Camera) -> tuple[tuple[Law, float], ...]:
     """Law and loss at the corner of each vignetting; the camera's own first."""
     more = camera.more_vignetting if isinstance(camera, Lens) else ()
     return ((camera.vignetting_law, camera.vignetting), *more)
+
+
+def uneven_blurs(camera: Camera) -> tuple[tuple[Uneven, float, float], ...]:
+    """Law, standard deviation in um at the corner and direction in deg of each blur that changes over the image."""
+    return camera.uneven_psf if isinstance(camera, Lens) else ()
+
+
+def corner_px(camera: Camera) -> float:
+    """Distance in px of the image's corner from its centre: r = 1."""
+    return float(np.hypot(camera.rows, camera.columns)) / 2
 
 
 def _lens(camera: Camera) -> Lens:

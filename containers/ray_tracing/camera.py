@@ -1,6 +1,6 @@
 """The expected image of a camera: a map of irradiance on the receiver becomes digital numbers, without noise.
 
-    map  --geometry, mean over the pixel, PSF, vignetting, glare-->  image  --gain, offset-->  signal above black
+    map  --geometry, mean over the pixel, PSFs, vignetting, glare-->  image  --gain, offset-->  signal above black
          --ambient plane, non-linearity, saturation, black level-->  digital numbers
 
 Each step is a function of its own and gives its input back, bit for bit, at its off value; all are smooth in their
@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from containers.compiled import kernel
-from containers.lens import blurs, vignettings
+from containers.lens import blurs, corner_px, uneven_blurs, vignettings
+from containers.ray_tracing.aberrations import blur_of, rays_of, rays_reach_um
 from containers.ray_tracing.light_map import LightMap, pixel_means, spline_of, spread
 from luxloop.camera import Camera
 from luxloop.errors import InputError
@@ -26,6 +27,8 @@ Real = NDArray[np.float64]
 
 MOFFAT_MARGIN_PX, MOFFAT_LARGEST_PX = 48, 12.0
 """How far beyond the image the wings of a Moffat PSF look (fixed, so that the image is smooth in its width)."""
+FINEST_STEPS = 1.0
+"""1/k of the shortest waves of light, over its map's step: of the twin's maps, of eight samples a height, k H = 8."""
 GAUSSIAN_LARGEST_PX = 200.0
 """Of a Gaussian's standard deviation: the widest there is, 200 um, by pixels of 1 um on the receiver."""
 MOFFAT = {"moffat2.5": (1.0, 1.0), "moffat3.5": (1.0, 1.0, 1.0 / 3.0), "moffat4.5": (1.0, 1.0, 2.0 / 5.0, 1.0 / 15.0)}
@@ -41,7 +44,7 @@ def expected_image(light: LightMap, camera: Camera) -> Real:
 
     Notes
     -----
-    Steps and order: at the head of this module. Neglected: PSF and glare that change over the field.
+    Steps and order: at the head of this module. Neglected: glare that changes over the field.
     """
     return response(camera.gain_dn * irradiance_image(light, camera) + camera.offset_dn, camera)
 
@@ -51,7 +54,7 @@ def irradiance_image(light: LightMap, camera: Camera) -> Real:
     _refuse_outside(light, camera)
     before = margin_px(camera)
     row, column = (_window(size, before) for size in (camera.rows, camera.columns))
-    image = pixel_means(light, spline_of(light), *receiver_points(camera, row, column))
+    image = seen_through_lens(light, camera, row, column)
     for psf, sd_px in blurs_px(camera):
         image = blurred(image, psf, sd_px)
     image = image[..., before : before + camera.rows, before : before + camera.columns]
@@ -93,7 +96,7 @@ def receiver_points(camera: Camera, row: Real, column: Real) -> tuple[Real, Real
     stretch = np.ones((row.shape[0], column.size))
     if camera.distortion:
         from_axis = (row - axis_row) ** 2 + (column - axis_column) ** 2
-        factor, stretch = _undistorted(camera.distortion, from_axis / _corner_px(camera) ** 2)
+        factor, stretch = _undistorted(camera.distortion, from_axis / corner_px(camera) ** 2)
         x = x + (factor - 1.0) * (column - axis_column)
         y = y + (factor - 1.0) * (row - axis_row)
     um, angle = camera.pixel_um / (1.0 + camera.magnification_error), np.radians(camera.rotation_deg)
@@ -127,17 +130,21 @@ def _radius_ratio(k1: float, r2: Real) -> Real:
     return ratio
 
 
-def _corner_px(camera: Camera) -> float:
-    """Distance in px of the image's corner from its centre: r = 1."""
-    return float(np.hypot(camera.rows, camera.columns)) / 2
-
-
 def _from_axis(camera: Camera) -> tuple[Real, Real]:
     """Rows (row, 1) and columns (column,) of the image in px from its centre."""
     return (
         pixels(camera.rows)[:, None] - (camera.rows - 1) / 2,
         pixels(camera.columns) - (camera.columns - 1) / 2,
     )
+
+
+def reach_um(camera: Camera) -> float:
+    """How far from the module's centre, along x or y, what a camera's pixels, blurs and rays see reaches at most."""
+    before = margin_px(camera)
+    row, column = (pixels(size + 2 * before, -before) for size in (camera.rows, camera.columns))
+    borders = receiver_points(camera, row[[0, -1]], column), receiver_points(camera, row, column[[0, -1]])
+    seen = max(float((np.maximum(np.abs(x), np.abs(y)) + side).max()) for x, y, side in borders)
+    return seen + rays_reach_um(camera, row, column)
 
 
 def _refuse_outside(light: LightMap, camera: Camera) -> None:
@@ -155,6 +162,16 @@ def _refuse_outside(light: LightMap, camera: Camera) -> None:
 
 
 # The lens
+
+
+def seen_through_lens(light: LightMap, camera: Camera, row: Real, column: Real) -> Real:
+    """Means (..., row, column) over the pixels, sharp or each blurred by its own, before any blur alike for all."""
+    x, y, side = receiver_points(camera, row, column)
+    sharp = pixel_means(light, spline_of(light), x, y, side)
+    if not uneven_blurs(camera):
+        return sharp
+    rays = rays_of(camera, row, column, FINEST_STEPS * light.step_um)
+    return sharp + blur_of(light, rays, x, y, float(side.mean()))
 
 
 def blurs_px(camera: Camera) -> list[tuple[str, float]]:
@@ -240,7 +257,7 @@ def transmission(camera: Camera) -> Real:
     1 - v r^2, or cos^4 = 1 / (1 + r^2 tan^2)^2 with the angle at the corner from 1 - v; of several the product.
     """
     row, column = _from_axis(camera)
-    r2 = (row**2 + column**2) / _corner_px(camera) ** 2
+    r2 = (row**2 + column**2) / corner_px(camera) ** 2
     left = np.ones_like(r2)
     for law, loss in vignettings(camera):
         left *= 1.0 - loss * r2 if law == "quadratic" else (1.0 + r2 * ((1.0 - loss) ** -0.5 - 1.0)) ** -2
@@ -253,8 +270,9 @@ def with_glare(image: Real, light: LightMap, camera: Camera) -> Real:
     Notes
     -----
     The source is all light of the map, also from beyond the image, and what it puts on the sensor is not vignetted.
-    PSFs are in it by adding variances (exact for Gaussians). Light that stays on the map keeps its energy. The
-    veil is so smooth that a polynomial through few points of the image gives it everywhere.
+    PSFs are in it by adding variances (exact for Gaussians); blur that changes over the image is neglected. Light
+    that stays on the map keeps its energy. The veil is so smooth that a polynomial through few points of the image
+    gives it everywhere.
     """
     if not camera.glare:
         return image

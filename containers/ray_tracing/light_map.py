@@ -93,6 +93,26 @@ def pixel_means(light: LightMap, spline: Real, x_um: Real, y_um: Real, side_um: 
     return means.reshape(*light.irradiance_per_mm2.shape[:-2], *x_um.shape)
 
 
+def square_means(light: LightMap, side_um: float) -> LightMap:
+    """The map of the spline's means over squares of that side about each sample; of a dark map also about those
+    beyond it whose squares reach its area."""
+    weight = np.empty(int(np.ceil(side_um / light.step_um)) + 5)
+    first, taps = _weights(
+        -0.5 * side_um / light.step_um, 0.5 * side_um / light.step_um, light.step_um / side_um, weight
+    )
+    beyond = 0 if light.beyond == "mirror" else -first
+    spline = spline_of(light)
+    for axis in (1, 2):
+        around = [(0, 0)] * 3
+        around[axis] = (beyond - first, beyond + first + taps - 1)
+        seen = np.pad(spline, around, "symmetric" if light.beyond == "mirror" else "constant")
+        size = spline.shape[axis] + 2 * beyond
+        spline = sum(weight[tap] * seen.take(np.arange(tap, tap + size), axis) for tap in range(taps))
+    means = spline.reshape(*light.irradiance_per_mm2.shape[:-2], *spline.shape[1:])
+    x0, y0 = (start - beyond * light.step_um for start in light.origin_um)
+    return LightMap(means, (x0, y0), light.step_um, light.beyond)
+
+
 def spread(light: LightMap, sd_um: float) -> LightMap:
     """`light` convolved with a Gaussian, on a coarser grid around its area: eight points per standard deviation.
 
@@ -157,13 +177,13 @@ def _first(samples: Real) -> float:
     """First value of the forward recursion: the sum over the mirrored samples before it."""
     total, power = samples[0], POLE
     for k in range(POLE_TERMS):
-        total += power * samples[_mirrored(-1 - k, samples.size)]
+        total += power * samples[mirrored(-1 - k, samples.size)]
         power *= POLE
     return 6.0 * float(total)
 
 
 @kernel
-def _mirrored(j: int, n: int) -> int:
+def mirrored(j: int, n: int) -> int:
     """The sample that stands at j, in a row of n that is repeated as its own mirror image."""
     j %= 2 * n
     return j if j < n else 2 * n - 1 - j
@@ -207,7 +227,7 @@ def _sum_at_edge(c: Real, m: int, i0: int, j0: int, nx: int, ny: int, wx: Real, 
     for j in range(ny):
         for i in range(nx):
             if mirror or (0 <= j0 + j < rows and 0 <= i0 + i < columns):
-                total += wy[j] * wx[i] * c[m, _mirrored(j0 + j, rows), _mirrored(i0 + i, columns)]
+                total += wy[j] * wx[i] * c[m, mirrored(j0 + j, rows), mirrored(i0 + i, columns)]
     return total
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from containers.acting import NONE, Effects
-from containers.ray_tracing.camera import irradiance_image, pixels, receiver_points, response, seen_px
+from containers.ray_tracing.camera import irradiance_image, reach_um, response, seen_px
 from containers.ray_tracing.field import CellField, Field
 from containers.ray_tracing.light_map import LightMap
 from containers.ray_tracing.tally import Box
@@ -93,7 +93,7 @@ def _maps(field: Field, box: Box, cameras: Sequence[Camera]) -> Iterator[LightMa
     if isinstance(field, CellField):
         half = field.spacing_um / 2.0
         step = half / np.ceil(half / finest_um)
-        reach = half * np.ceil(max(map(_reach_um, cameras)) / half * (1.0 - 1e-9))
+        reach = half * np.ceil(max(map(reach_um, cameras)) / half * (1.0 - 1e-9))
         x0, y0, columns, rows, beyond = -reach, -reach, round(2 * reach / step), round(2 * reach / step), "mirror"
     else:
         step = box.step_um / np.ceil(box.step_um / finest_um)
@@ -107,10 +107,3 @@ def _maps(field: Field, box: Box, cameras: Sequence[Camera]) -> Iterator[LightMa
     for coefficients in (mean, *(field.coefficients - mean)):
         irradiance = per_mm2 * replace(field, coefficients=coefficients[None]).grid(x_um, y_um)[0]
         yield LightMap(irradiance, (float(x_um[0]), float(y_um[0])), float(step), beyond)  # type: ignore[arg-type]  # one of its two words
-
-
-def _reach_um(camera: Camera) -> float:
-    """How far from the module's centre, along x or y, a camera's pixels reach on the receiver."""
-    row, column = pixels(camera.rows), pixels(camera.columns)
-    borders = receiver_points(camera, row[[0, -1]], column), receiver_points(camera, row, column[[0, -1]])
-    return max(float((np.maximum(np.abs(x), np.abs(y)) + side).max()) for x, y, side in borders)

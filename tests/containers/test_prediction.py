@@ -9,6 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from containers.bsdf import GaussianLobe
+from containers.lens import Lens, unevenly_blurred
 from containers.ray_tracing.exits import Exits, chip_key, make_exits
 from containers.ray_tracing.field import ModuleField
 from containers.ray_tracing.kernel import WEIGHT_OF_EXIT
@@ -17,7 +18,7 @@ from containers.ray_tracing.monte_carlo import BLOCK
 from containers.ray_tracing.twin.columns import COLUMNS, film_column
 from containers.ray_tracing.twin.difference import Difference, Plate, without_noise
 from containers.ray_tracing.twin.module import ModuleTwin
-from containers.ray_tracing.twin.prediction import Anchor, Shot, image_of, jacobian, twin_images
+from containers.ray_tracing.twin.prediction import Anchor, Shot, image_of, jacobian, light_map, twin_images
 from containers.ray_tracing.twin.reweighting import reweighted
 from containers.ray_tracing.twin.supply import EFFECTIVE, Supply
 from containers.scene import Array, Face, Scene
@@ -96,6 +97,7 @@ def test_the_error_at_the_anchor_is_carried_as_a_share_of_the_light(dim: tuple[S
     [
         {"psf_um": 25.0}, {"psf": "moffat2.5", "psf_um": 20.0}, {"magnification_error": 0.02}, {"distortion": -0.03},
         {"vignetting": 0.2}, {"shift_px": (0.4, -0.3)}, {"glare": 0.1, "glare_um": 300.0},
+        {"uneven_psf": (("round", 50.0, 0.0), ("tilted", 30.0, 20.0))},
     ],
     ids=lambda lens: next(iter(lens)),
 )  # fmt: skip
@@ -108,7 +110,7 @@ def test_a_lens_acts_on_all_of_the_light_and_not_on_the_twins_alone(
     supply, options = Supply(lambda _: exits), {"blocks": 1, "shadow_rays": 1024}
     of = shots(case)
     fields = [ModuleTwin(shot.scene, exits, groups=8, seed=7).field() for shot in of]
-    moved = [replace(shot, camera=shot.camera.model_copy(update=lens)) for shot in of]
+    moved = [replace(shot, camera=Lens(**shot.camera.model_dump() | lens)) for shot in of]
     here = Anchor(of, fields, supply, **options).predict(moved, supply)
     there = Anchor(moved, fields, supply, **options).predict(moved, supply)
     most = there.images_per_mm2.max()
@@ -116,6 +118,20 @@ def test_a_lens_acts_on_all_of_the_light_and_not_on_the_twins_alone(
     np.testing.assert_allclose(here.images_per_mm2, there.images_per_mm2, atol=1e-9 * most)
     seen = [image_of(field.grid, shot).mean(axis=0) for field, shot in zip(fields, moved, strict=True)]
     np.testing.assert_allclose(here.images_per_mm2, seen, atol=1e-9 * most)  # Monte Carlo itself, before that lens
+
+
+@pytest.mark.parametrize("psf_um", [0.0, 15.0])
+def test_a_map_reaches_as_far_as_rays_begin(dim: tuple[Scene, Exits], psf_um: float) -> None:
+    """A small image in the middle of nine chips, seen of a map as large as it needs and of the whole module's."""
+    case, exits = dim
+    scene = replace(case, layout=Array.regular(3, 3, 500.0))
+    field, small = ModuleTwin(scene, exits, groups=8, seed=7).field(), Camera(rows=8, columns=8, pixel_um=20.0)
+    for law in ("round", "radial", "tilted"):
+        camera = unevenly_blurred(small.model_copy(update={"psf_um": psf_um}), law, 80.0, 30.0)  # type: ignore[arg-type]  # its words
+        shot = Shot(scene, camera)
+        near, whole = light_map(field.grid, shot), light_map(field.grid, shot, whole=True)
+        assert near.irradiance_per_mm2.size < 0.7 * whole.irradiance_per_mm2.size
+        np.testing.assert_allclose(shot.image(near), shot.image(whole), rtol=1e-9)
 
 
 def test_a_plate_scatters_all_of_the_light_and_not_the_twins_alone(dim: tuple[Scene, Exits]) -> None:

@@ -51,6 +51,7 @@ PURE = {
     "vignetting": "share of the light",
     "more_psf": "kinds with um, as psf_um",
     "more_vignetting": "laws with shares of the light",
+    "uneven_psf": "laws with um and deg, as edge_um and direction_deg of their effects",
     "glare": "share of the light",
     "nonlinearity": "ratio of signals",
     "saturation_knee": "share of the full scale",

@@ -1,4 +1,4 @@
-"""What can be hidden: each image effect of the catalogue once, in another functional form, and what is outside it.
+"""What can be hidden: each image effect of the catalogue, in another functional form, and what is outside it.
 
 An amount runs from `off`, where nothing is hidden, to `most`. Ranges without a source are engineering judgement.
 """
@@ -80,6 +80,12 @@ _MODULE = (
            "Other light rises like a sine over the image, in a drawn direction, by this share of full scale."),
     _known("defocus", "optics", "camera_psf", "um", 0.0, 50.0,
            "Each point is a disc of this standard deviation along an axis: geometrical defocus."),
+    _known("field_curvature", "optics", "off_axis_blur", "um", 0.0, 80.0,
+           "Points are discs whose sd rises like 0.7 r^2 + 0.3 r^4 to this at the corner: a bent focal surface."),
+    _known("astigmatism", "optics", "off_axis_blur", "um", 0.0, 80.0,
+           "Points are even lines along the radius whose sd rises like r^2 to this at the corner: sagittal focus."),
+    _known("tilted_lens", "optics", "focus_tilt", "um", 0.0, 80.0,
+           "Points are discs whose sd rises from a line through the centre to this at the edge: drawn direction."),
     _known("division_distortion", "optics", "distortion", "", 0.0, 0.02,
            "What is seen at r lies at r / (1 + k r^2), r = 1 at the image's corner (Fitzgibbon, CVPR 2001)."),
     _known("wrong_scale", "optics", "magnification", "", 0.0, 0.01,
@@ -100,12 +106,6 @@ _OUTSIDE_OPTICS = (
              "The scale spreads over the line by this share either way: lateral colour smears along the radius."),
     _outside("coma", "optics", "um", 120.0,
              "Points have a tail along x, this long at the upper edge, the other way at the lower: coma."),
-    _outside("astigmatism", "optics", "um", 60.0,
-             "Points are short lines of this sd, along x right and left and along y above and below the axis."),
-    _outside("tilted_lens", "optics", "um", 80.0,
-             "The image goes out of focus to either side: the sd of the blur rises with |x| to this at the edge."),
-    _outside("field_curvature", "optics", "um", 80.0,
-             "The sd of the blur rises like r^2 to this at the image's corner: the focal surface is bent."),
     _outside("dust", "optics", "", 0.3,
              "Soft round shadows of 20 to 70 um, this deep, at drawn places on the cover glass."),
     _outside("hair", "optics", "", 0.3,

@@ -196,11 +196,12 @@ def _defocus(field: Field, hidden: Hidden) -> Displaced:
 
 
 def _tilted_lens(field: Field, hidden: Hidden) -> Displaced:
-    return _disc(hidden.amount * np.abs(field.x))
+    along, _ = _along(field, hidden, 61)
+    return _disc(hidden.amount * np.abs(along) / np.abs(along).max())
 
 
 def _field_curvature(field: Field, hidden: Hidden) -> Displaced:
-    return _disc(hidden.amount * field.corner)
+    return _disc(hidden.amount * (0.7 * field.corner + 0.3 * field.corner**2))
 
 
 def _coma(field: Field, hidden: Hidden) -> Displaced:
@@ -214,13 +215,10 @@ def _coma(field: Field, hidden: Hidden) -> Displaced:
 
 
 def _astigmatism(field: Field, hidden: Hidden) -> Displaced:
-    node, weight = np.polynomial.hermite_e.hermegauss(4)
-    weight = weight / weight.sum()
-    of_x, of_y = hidden.amount * field.x**2, hidden.amount * field.y**2
-    return [
-        (float(p * q), a * of_x, b * of_y)
-        for (a, p), (b, q) in itertools.product(zip(node, weight, strict=True), repeat=2)
-    ]
+    """An even line along the radius."""
+    node, weight = np.polynomial.legendre.leggauss(6)
+    half = np.sqrt(3.0) * hidden.amount * field.corner / np.maximum(np.hypot(field.x_um, field.y_um), 1e-9)
+    return [(float(w) / 2.0, t * half * field.x_um, t * half * field.y_um) for t, w in zip(node, weight, strict=True)]
 
 
 BLURS = {

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from containers.acting import NONE, Effects
-from containers.ray_tracing.camera import irradiance_image, margin_px, pixels, receiver_points
+from containers.ray_tracing.camera import irradiance_image, pixels, reach_um, receiver_points
 from containers.ray_tracing.field import Field
 from containers.ray_tracing.light_map import LightMap
 from containers.ray_tracing.several_tops import scenes_of
@@ -413,7 +413,7 @@ def light_map(grid: Grid, shot: Shot, *, whole: bool = False) -> LightMap:
     if not isinstance(layout, Array):
         raise InputError("layout", type(layout).__name__, "a finite array", "a cell's map is its field's")
     step = shot.scene.height_um / BINS_PER_HEIGHT
-    reach = np.inf if camera.glare or whole else _reach_um(camera) + 4.0 * step
+    reach = np.inf if camera.glare or whole else reach_um(camera) + 4.0 * step
     counts, dark = [], False
     for end in (ends := [half + PAD * distance for half in (layout.half_x_um, layout.half_y_um)]):
         dark = dark or end <= reach
@@ -421,10 +421,3 @@ def light_map(grid: Grid, shot: Shot, *, whole: bool = False) -> LightMap:
     x, y = ((np.arange(2 * count) + 0.5 - count) * step for count in counts)
     inside = (np.clip(at, -end, end) for at, end in zip((x, y), ends, strict=True))  # the last by a half step
     return LightMap(grid(*inside), (float(x[0]), float(y[0])), step, "dark" if dark else "mirror")
-
-
-def _reach_um(camera: Camera) -> float:
-    before = margin_px(camera)
-    row, column = pixels(camera.rows + 2 * before, -before), pixels(camera.columns + 2 * before, -before)
-    x, y, side = receiver_points(camera, row[[0, -1]], column[[0, -1]])
-    return float((np.maximum(np.abs(x), np.abs(y)) + side).max())
