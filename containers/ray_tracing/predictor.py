@@ -115,7 +115,7 @@ class Predictor:
         """
         columns, cameras = _columns(request)
         _refuse_too_much(request)
-        shots = _shots(request.shots, "shots", means)
+        shots = _shots(request.shots, "shots", means, 1 if request.anchor is None else GROUPS)
         _refuse_beyond_twin(request, shots)
         steps = _Steps(progress, len(shots) + sum(len(stencil_of(c, shot)) for c in columns for shot in shots))
         job = _Job(request, steps, self._source, self._threads)
@@ -152,7 +152,7 @@ class Predictor:
         key = sha256_of([asked.model_dump(mode="json"), decisive, *of_wanted])
 
         def make() -> Anchor:
-            shots = _shots(at, "anchor.shots" if asked.shots else "shots", means)
+            shots = _shots(at, "anchor.shots" if asked.shots else "shots", means, GROUPS)
             return job.anchor(asked, at, shots, supply, self._fields)
 
         return self._anchors.of(key, float(asked.histories), make) if asked.histories else make()
@@ -349,11 +349,6 @@ def _refuse_too_much(request: PredictionRequest) -> None:
     if pixels * times > MOST_VALUES:
         mend = "fewer pixels or columns at once: ask in parts"
         raise InputError("shots", f"{pixels} pixels x {times} images of each", f"a product up to {MOST_VALUES}", mend)
-    at = () if request.anchor is None else request.anchor.shots or ()
-    for where, shots in (("shots", request.shots), ("anchor.shots", at)):
-        for number, shot in enumerate(shots):
-            with named(f"{where}.{number}.camera"):
-                _refuse_wide_view(shot.camera, 1 if request.anchor is None else GROUPS)
 
 
 def _refuse_wide_view(camera: Camera, groups: int) -> None:
@@ -365,7 +360,7 @@ def _refuse_wide_view(camera: Camera, groups: int) -> None:
         raise InputError("pixel_um", value, f"{MOST_VALUES // groups} pixels of {groups} groups", mend)
 
 
-def _shots(wanted: Sequence[ShotRequest], where: str, means: Means) -> list[Shot]:
+def _shots(wanted: Sequence[ShotRequest], where: str, means: Means, groups: int) -> list[Shot]:
     """The shots of a request, their chips built once where they are alike. InputErrors name the shot."""
     built: dict[str, Scene] = {}
     shots = []
@@ -373,6 +368,9 @@ def _shots(wanted: Sequence[ShotRequest], where: str, means: Means) -> list[Shot
         name = f"{where}.{number}"
         with named(name):
             effects = means.effects(shot)
+            camera = effects.camera(shot.camera)
+            with named("camera"):
+                _refuse_wide_view(camera, groups)
             key = sha256_of(shot.model_dump(mode="json", include={"environment", "design", "film"}))
             if key not in built:
                 film = None if shot.film is None else means.film(shot.film)
@@ -382,7 +380,6 @@ def _shots(wanted: Sequence[ShotRequest], where: str, means: Means) -> list[Shot
             bare = with_tops(bare, shot.environment, None if shot.film is None else means.film(shot.film), effects)
             scene, whole = effects.for_twin.scene(bare), effects.scene(bare)
             open_array(scene)
-            camera = effects.camera(shot.camera)
         shots.append(Shot(scene, camera, name, effects=effects, whole=whole if effects.beyond_twin else None))
     refuse_several_sizes(shots)
     return shots

@@ -73,7 +73,7 @@ def simulate(
     that leave a chip, x and y about its centre, z from the substrate: `ray_position_um`, `ray_direction` (ray, 3),
     `ray_flux_ratio` of the flux that the chip emits, `ray_wavelength_nm` (ray,).
     """
-    refuse_too_many(request.images)
+    refuse_too_many([effects.camera(camera) for camera in request.images])
     refuse_other_film(request, film, effects)
     scene = scene_of(request.environment, request.design, film, layout_of(request))
     if request.method == "twin" and effects.beyond_twin:

@@ -40,6 +40,7 @@ DESIGN = {"distance_um": 180.0, "width_um": 28.0, "spacing_um": 500.0, "thicknes
 DIM = {"chip_absorption_per_cm": 200.0}
 """Walks are short in a chip that absorbs."""
 CAMERA = {"rows": 16, "columns": 16, "pixel_um": 40.0}
+BLUR = {"name": "camera_psf", "parameters": {"psf_um": 50.0, "profile": "gaussian"}}
 SINGLE: dict[str, Any] = {"rows": 1, "columns": 1, "half_um": 500.0}
 NINE: dict[str, Any] = {"rows": 3, "columns": 3}
 HISTORIES = 32 * BLOCK
@@ -403,6 +404,11 @@ BAD: list[tuple[dict[str, Any], str, str]] = [
     ({"shots": [shot(), shot(camera__pixel_um=0.008, camera__psf_um=8.0)]}, "shots.1.camera.pixel_um", "is in um on"),
     (
         {"shots": [shot(camera__pixel_um=0.1, camera__psf_um=15.0)], "anchor": {"histories": 1}},
+        "shots.0.camera.pixel_um",
+        "is in um on the receiver",
+    ),
+    (
+        {"shots": [shot(camera__pixel_um=0.3, effects=[BLUR])], "anchor": {"histories": 1}},
         "shots.0.camera.pixel_um",
         "is in um on the receiver",
     ),
