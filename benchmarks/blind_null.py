@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from luxloop.client import Client
+from luxloop.model import Model
 from luxloop.settings import load_settings
 from validation.blind_test.folders import SETS, Entry, read_index
 from validation.blind_test.judging import Shared, SharedDiagnosing, SharedSolver, chosen_model
@@ -32,22 +33,23 @@ from validation.fit.parameters import free_paths
 from validation.observed import Observed
 from validation.prediction import Predictor
 
-HISTORIES, MOST = 4_000_000, 32_000_000
+HISTORIES = 4_000_000
+"""Of an anchor, as `blind diagnose` has them."""
 SHOWN = 6
 
 Scores = tuple[list[str], NDArray[np.float64]]
 
 
-def scores_of(light: str, sets: list[Entry], folder: Path, client: Client, seed: int) -> Scores:
+def scores_of(light: str, sets: list[Entry], folder: Path, client: Client, model: Model, seed: int) -> Scores:
     """Names of columns, and z (draw, column)."""
     predictor, known, shared = Predictor(client), Known.ask(client), Shared(light)
-    model, solver = chosen_model(folder, read_index(folder), None), Solver.of_diagnosis(HISTORIES, seed, MOST)
-    told = SharedSolver(solver.histories, solver.seed, solver.most_histories, shared=shared)
+    plain = Solver.of_diagnosis(HISTORIES, seed, None)
+    solver = SharedSolver(plain.histories, plain.seed, plain.most_histories, shared=shared)
     names: list[str] = []
     drawn = []
     for one in sets:
         observed = Observed.of(read_dataset(folder / SETS / one.id))
-        engine = SharedDiagnosing(model, observed, predictor, known, told, tuple(free_paths(model)), shared=shared)
+        engine = SharedDiagnosing(model, observed, predictor, known, solver, tuple(free_paths(model)), shared=shared)
         fit = engine.ground(engine.fitted(model)).fit
         projected = Projected.of(engine.signatures(fit, engine.effects), fit.basis)
         products = projected.columns @ fit.residual_with_priors / np.sqrt(fit.variance_scale)
@@ -89,13 +91,14 @@ def main() -> None:
     asked.add_argument("--lights", type=int, default=100, help="at most so many")
     asked.add_argument("--seed", type=int, default=1, help="of the anchors")
     given = asked.parse_args()
-    sets = sorted(read_index(given.folder).sets, key=lambda one: (one.light, one.id))
+    index = read_index(given.folder)
+    model, sets = chosen_model(given.folder, index, None), sorted(index.sets, key=lambda one: (one.light, one.id))
     heads = "".join(f"{name:>8}" for name in ("draws", "columns", "within", "shared", "all", "first", "+-"))
     print(f"{'light':<12}{heads}  means of z that are largest")
     with Client(load_settings(), patience_s=600.0) as client:
         for number, (light, some) in enumerate(groupby(sets, key=lambda one: one.light)):
             if number < given.lights:
-                print(told(light, *scores_of(light, list(some), given.folder, client, given.seed)), flush=True)
+                print(told(light, *scores_of(light, list(some), given.folder, client, model, given.seed)), flush=True)
 
 
 if __name__ == "__main__":

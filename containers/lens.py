@@ -18,7 +18,7 @@ Psf = Literal["gaussian", "moffat2.5", "moffat3.5", "moffat4.5"]
 Law = Literal["quadratic", "cos4"]
 Uneven = Literal["round", "radial", "tangential", "tilted"]
 """Blurs that change over the image like r^2, all ways, along the radius or across it; or all ways, like one axis."""
-Width = Annotated[float, Field(ge=0.0, le=200.0)]
+BlurUm = Annotated[float, Field(ge=0.0, le=200.0)]
 
 
 class Lens(Camera):
@@ -26,7 +26,7 @@ class Lens(Camera):
 
     more_psf: tuple[tuple[Psf, float], ...] = Field((), description="Kinds and standard deviations in um.")
     more_vignetting: tuple[tuple[Law, float], ...] = Field((), description="Laws and losses at the corner.")
-    uneven_psf: tuple[tuple[Uneven, Width, float], ...] = Field(
+    uneven_psf: tuple[tuple[Uneven, BlurUm, float], ...] = Field(
         (), description="Laws, standard deviations in um at r = 1, and directions in deg from x towards y."
     )
 

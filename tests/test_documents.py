@@ -31,6 +31,15 @@ def anchors(page: Path) -> set[str]:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_no_draft_is_left(page: Path) -> None:
+    """No heading stands twice in a page, and no word in capitals holds the place of what was to come."""
+    text = without_code(page.read_text())
+    headings = re.findall(r"^#+ .*$", text, flags=re.M)
+    assert len(headings) == len(set(headings))
+    assert re.findall(r"^[A-Z]{4,}$|\b(?:TABLE|CONCLUSION|TODO|FIXME|XXX|HASH)\b", text, flags=re.M) == []
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_links_lead_somewhere(page: Path) -> None:
     """Files and headings that a page points at are there."""
     broken = []

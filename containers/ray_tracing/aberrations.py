@@ -32,7 +32,7 @@ from luxloop.errors import InputError
 Real = NDArray[np.float64]
 
 RULE_REACH, PLANE_STEPS = 4.5, (0.9, 0.6, 0.4, 0.27, 0.18)
-"""Of the rules, in standard deviations: a plane's hexagonal lattices of 91 to 2,293 points."""
+"""Of the rules, in standard deviations: a plane's hexagonal lattices of 91 to 2,263 points."""
 LINE_SHARE = 0.8
 """Of a plane's step: that of a line, 13 to 63 points."""
 MOST_READ = 1 << 32
@@ -55,14 +55,15 @@ class Rays:
 def rays_of(camera: Camera, row: Real, column: Real, finest_um: float = np.inf) -> Rays:
     """The rays of the pixels at all combinations of `row` (row,) and `column` (column,), in px.
 
-    finest_um : 1/k of the shortest waves of light, of which rays lie so close that they miss none.
+    finest_um : 1/k of the shortest waves of light, of which rays lie so close that they miss none: the step of its
+        map, which of the twin's are an eighth of the height.
 
     Notes
     -----
     Trapezoidal rules on a Gaussian, of unit second moment. Of a wave of k per standard deviation, exp(-k^2 / 2) is
-    left: to 2e-4 with the widest steps up to k = 3.5, with those of a plane by 1 % at k = 5, which is where the step
-    is halved; what they take for long waves are those of k beyond 2 pi / step - 2. Neglected: what a distortion makes
-    of a displacement.
+    left: to 2e-4 up to k = 3.5 by the widest steps. Waves of k near 2 pi / step are taken for long ones, 1 % of them
+    at 2 pi / step - 2 (k = 5), from where on the next finer step is taken. Neglected: what a distortion makes of a
+    displacement.
     """
     x, y = _field_of(camera, row, column)
     covariance = _covariance_um2(camera, x, y)
@@ -97,16 +98,10 @@ def blur_of(light: LightMap, rays: Rays, x_um: Real, y_um: Real, side_um: float)
     Rays read a map of means over squares as large as a pixel, of `side_um` everywhere, from a spline of its own: the
     change alone feels that pixels of a distorted image are not all of one size.
     """
-    read = (
-        x_um.size
-        * rays.rule.shape[1]
-        * (light.irradiance_per_mm2.size // np.prod(light.irradiance_per_mm2.shape[-2:]))
-    )
-    if read > MOST_READ:
-        value = f"{x_um.size} pixels of {rays.rule.shape[1]} rays"
-        raise InputError(
-            "rows x columns", value, f"{MOST_READ} rays in all images at once", "fewer pixels, or less blur"
-        )
+    each, maps = rays.rule.shape[1], light.irradiance_per_mm2[..., 0, 0].size
+    if x_um.size * each * maps > MOST_READ:
+        value, allowed = f"{x_um.size} pixels of {each} rays", f"{MOST_READ} rays in all images at once"
+        raise InputError("rows x columns", value, allowed, "fewer pixels, or less blur")
     means = square_means(light, side_um)
     spline, per_um = spline_of(means), 1.0 / means.step_um
     x, y = ((at - start) * per_um for at, start in zip((x_um, y_um), means.origin_um, strict=True))
@@ -124,12 +119,8 @@ def _gather(c: Real, x: Real, y: Real, rule: Real, by_u: Real, by_v: Real, mirro
         for row in range(x.shape[0]):
             for column in range(x.shape[1]):
                 at_x, at_y = x[row, column], y[row, column]
-                xu, yu, xv, yv = (
-                    by_u[0, row, column],
-                    by_u[1, row, column],
-                    by_v[0, row, column],
-                    by_v[1, row, column],
-                )
+                xu, yu = by_u[0, row, column], by_u[1, row, column]
+                xv, yv = by_v[0, row, column], by_v[1, row, column]
                 total = 0.0
                 for ray in range(rule.shape[1]):
                     u, v = rule[1, ray], rule[2, ray]

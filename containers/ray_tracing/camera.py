@@ -27,8 +27,6 @@ Real = NDArray[np.float64]
 
 MOFFAT_MARGIN_PX, MOFFAT_LARGEST_PX = 48, 12.0
 """How far beyond the image the wings of a Moffat PSF look (fixed, so that the image is smooth in its width)."""
-FINEST_STEPS = 1.0
-"""1/k of the shortest waves of light, over its map's step: of the twin's maps, of eight samples a height, k H = 8."""
 GAUSSIAN_LARGEST_PX = 200.0
 """Of a Gaussian's standard deviation: the widest there is, 200 um, by pixels of 1 um on the receiver."""
 MOFFAT = {"moffat2.5": (1.0, 1.0), "moffat3.5": (1.0, 1.0, 1.0 / 3.0), "moffat4.5": (1.0, 1.0, 2.0 / 5.0, 1.0 / 15.0)}
@@ -170,7 +168,7 @@ def seen_through_lens(light: LightMap, camera: Camera, row: Real, column: Real) 
     sharp = pixel_means(light, spline_of(light), x, y, side)
     if not uneven_blurs(camera):
         return sharp
-    rays = rays_of(camera, row, column, FINEST_STEPS * light.step_um)
+    rays = rays_of(camera, row, column, light.step_um)
     return sharp + blur_of(light, rays, x, y, float(side.mean()))
 
 

@@ -96,10 +96,9 @@ def pixel_means(light: LightMap, spline: Real, x_um: Real, y_um: Real, side_um: 
 def square_means(light: LightMap, side_um: float) -> LightMap:
     """The map of the spline's means over squares of that side about each sample; of a dark map also about those
     beyond it whose squares reach its area."""
-    weight = np.empty(int(np.ceil(side_um / light.step_um)) + 5)
-    first, taps = _weights(
-        -0.5 * side_um / light.step_um, 0.5 * side_um / light.step_um, light.step_um / side_um, weight
-    )
+    side = side_um / light.step_um
+    weight = np.empty(int(np.ceil(side)) + 5)
+    first, taps = _weights(-0.5 * side, 0.5 * side, 1.0 / side, weight)
     beyond = 0 if light.beyond == "mirror" else -first
     spline = spline_of(light)
     for axis in (1, 2):
