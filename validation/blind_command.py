@@ -46,7 +46,7 @@ def make(
     outside: Annotated[int, typer.Option(min=0, help="Of the sets: with something outside of the catalogue.")] = 0,
     two: Annotated[int, typer.Option(min=0, help="Of the sets: with two effects of the catalogue.")] = 0,
     nothing: Annotated[int, typer.Option(min=0, help="Of the sets: with nothing hidden.")] = 0,
-    draws: Annotated[int, typer.Option(min=1, max=20, help="Sets with nothing hidden that share a light.")] = 20,
+    draws: Annotated[int, typer.Option(min=1, max=100, help="Sets with nothing hidden that share a light.")] = 20,
     per_truth: Annotated[int, typer.Option(min=1, help="Sets with something hidden that share a truth.")] = 4,
     plan: Annotated[Path | None, typer.Option(help="TOML with camera and samples; default: the paper's six.")] = None,
     pixels: Annotated[int, typer.Option(min=8, max=4096, help="Rows and columns of the images.")] = 128,

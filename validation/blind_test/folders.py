@@ -21,7 +21,7 @@ from pydantic import Field
 
 from luxloop import __version__
 from luxloop.errors import InputError
-from luxloop.model import Model
+from luxloop.model import Fit, Model
 from luxloop.model_file import find_model
 from luxloop.words import Name, Sha256, Words, parse
 
@@ -37,6 +37,19 @@ class Entry(Words):
 
     id: Name
     light: Name
+    priors: dict[str, float] = Field(
+        default_factory=dict, description="What is known of this scene before: means of the model's priors, by path."
+    )
+
+    def known_before(self, model: Model) -> Model:
+        """The model with this set's priors. Raises InputError for one that the model has not."""
+        fit = dict(model.fit)
+        for path, mean in self.priors.items():
+            if path not in fit or fit[path].prior_sd is None:
+                mend = f"{INDEX} was changed: put back the one that was there"
+                raise InputError(f"{self.id}: priors", path, "a parameter of the model that has a prior", mend)
+            fit[path] = parse(Fit, fit[path].model_dump() | {"prior_mean": mean}, f"{self.id}: priors.{path}")
+        return model.model_copy(update={"fit": fit})
 
 
 class Index(Words):

@@ -1,8 +1,8 @@
 """Verdicts on blind sets: the same diagnosis that a user gets, one record a set, written whole.
 
-The seal is not opened, and nothing of `answers/` is read. Sets of one light are the same scene with other noise: what
-the first of them asked of the workers (columns of effects, the anchor's Monte Carlo, the null) serves all, and fits
-begin where its own ended.
+The seal is not opened, and nothing of `answers/` is read. Sets of one light are the same scene with other noise, and
+other priors (decision 76): what the first of them asked of the workers (columns of effects, the anchor's Monte Carlo,
+the null) serves all, and fits begin where its own ended.
 """
 
 from __future__ import annotations
@@ -88,7 +88,11 @@ class SharedDiagnosing(Diagnosing):
         first = self.shared.ground
         if first is not None and first.fit.trusted:
             self.shared.frozen = self.shared.frozen or frozen_at(first.fit.problem, first.fit.values)
-            found = unclipped(replace(self.shared.frozen, images=self.observed.images), first.fit.values)
+            own = replace(
+                self.shared.frozen, images=self.observed.images, model=model,
+                unknowns=self.shared.frozen.unknowns.with_priors(model),
+            )  # fmt: skip
+            found = unclipped(own, first.fit.values)
             return thawed(found, first.fit.problem)
         found = super().fitted(model)
         self.shared.anchor = self.shared.anchor or found.problem.anchor
@@ -163,15 +167,16 @@ class Judge:
         solver = SharedSolver(self.solver.histories, self.solver.seed, self.solver.most_histories, shared=shared)
         first = shared.ground is None
         engine = SharedDiagnosing(
-            self.model, Observed.of(dataset), self.predictor, self.known, solver, tuple(free_paths(self.model)),
-            self.cache, among=self.among, shared=shared,
+            one.known_before(self.model), Observed.of(dataset), self.predictor, self.known, solver,
+            tuple(free_paths(self.model)), self.cache, among=self.among, shared=shared,
         )  # fmt: skip
         found = engine.diagnosed()
         told = document(found, solver.seed)
         record = {
             "schema": SCHEMA, "id": one.id, "light": one.light, "seal": sealed, "dataset_sha256": dataset.sha256,
-            "model_sha256": self.model.sha256, "solver": self.solver.document(), "among": list(self.among),
-            "version": __version__, "seconds": time.monotonic() - start, "first_of_light": first,
+            "model_sha256": self.model.sha256, "priors": one.priors, "solver": self.solver.document(),
+            "among": list(self.among), "version": __version__, "seconds": time.monotonic() - start,
+            "first_of_light": first,
             **{name: told[name] for name in KEPT},
         }  # fmt: skip
         if first or record["verdict"] != "nothing_visible":

@@ -46,6 +46,7 @@ from validation.blind_test.truths import (
     Planned,
     camera_of,
     planned,
+    priors_of,
     sample_of,
     surroundings_of,
     truth_of,
@@ -172,7 +173,8 @@ def _make_one(asked: Asked, scene: Scene, one: Planned, kinds: Kinds) -> None:
     write_images(temporary, asked.plan, one.id, raw, scene.exposure[0], np.uint16)
     answer = Answer(
         id=one.id, hidden=hidings, asked_sigma=asked.sigma if found else 0.0, sigma=whole,
-        truth=scene.truth.document(), light=one.light, seed=asked.seed, histories=asked.histories,
+        truth=scene.truth.document(), light=one.light, priors=priors_of(scene.truth, one.seed), seed=asked.seed,
+        histories=asked.histories,
         dataset_sha256=read_dataset(temporary).sha256, seconds=time.monotonic() - start,
     )  # fmt: skip
     seal(asked.folder, temporary, answer)
@@ -221,7 +223,7 @@ def seed_of(folder: Path, seed: int | None) -> int:
 
 def _index(asked: Asked, plan: Sequence[Planned]) -> Index:
     """What the folder says of itself; InputError where it has other sets."""
-    entries = tuple(sorted((Entry(id=one.id, light=one.light) for one in plan), key=lambda one: one.id))
+    entries = tuple(sorted((_entry(asked, one) for one in plan), key=lambda one: one.id))
     model = next((name for name in SHIPPED if find_model(name).sha256 == asked.model.sha256), MODEL)
     index = Index(plan=asked.plan.name, model=model, model_sha256=asked.model.sha256, sets=entries)
     path = asked.folder / ANSWERS / ASKED
@@ -234,6 +236,11 @@ def _index(asked: Asked, plan: Sequence[Planned]) -> Index:
     elif asked.folder.exists() and not _is_empty(asked.folder):
         raise InputError("FOLDER", str(asked.folder), "an empty folder, or one that is not there yet", "name another")
     return index
+
+
+def _entry(asked: Asked, one: Planned) -> Entry:
+    truth = truth_of(one.truth, asked.model, len(asked.plan.samples), asked.seed)
+    return Entry(id=one.id, light=one.light, priors=priors_of(truth, one.seed))
 
 
 def _is_empty(folder: Path) -> bool:

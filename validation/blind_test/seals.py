@@ -51,6 +51,7 @@ class Answer(Words):
     sigma: float = Field(description="Projected length of all that is hidden together.")
     truth: Plain = Field(description="Surroundings and poses.")
     light: Name
+    priors: dict[str, float] = Field(default_factory=dict, description="The set's own; none: the model's.")
     seed: int
     histories: int
     dataset_sha256: Sha256
@@ -85,8 +86,8 @@ def seal_on(folder: Path, name: str) -> str:
 def opened(folder: Path, name: str, verdict: dict[str, Any]) -> Answer:
     """The answer of a set, after its verdict is on record; that it was opened is put on record, too.
 
-    Raises InputError: no answer, no salt, an answer that is not the one that was sealed, a seal or data that are not
-    those of the verdict, data that are there and were changed, a verdict that was made after the seal was opened.
+    Raises InputError: no answer, no salt, an answer that is not the one that was sealed, a seal, data or priors that
+    are not those of the verdict, data that are there and were changed, a verdict made after the seal was opened.
     """
     path = folder / ANSWERS / f"{name}.json"
     data = read_json(path, f"{name}: answer", "the answer that was sealed", "it lies where the sets were made")
@@ -103,6 +104,9 @@ def opened(folder: Path, name: str, verdict: dict[str, Any]) -> Answer:
         mend = "the verdict is on other data: the set does not count"
         found = verdict.get("dataset_sha256")
         raise InputError(f"{name}: data", found, f"the data that were sealed, {answer.dataset_sha256[:16]}...", mend)
+    if verdict.get("priors", {}) != answer.priors:
+        mend = "the verdict was told other priors than were drawn with the set: it does not count"
+        raise InputError(f"{name}: priors", verdict.get("priors"), str(answer.priors), mend)
     if has_data(folder, name):
         _check_data(folder, name, answer.dataset_sha256)
     mark_opened(folder, name, verdict)

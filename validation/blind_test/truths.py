@@ -2,6 +2,7 @@
 
 Everything follows from the seed. What a model frees is drawn from its priors, or, where it has none, by a tenth of
 its range about the model's value; never nearer to a limit than a tenth of the range, where a fit could not be judged.
+What is known of a truth before its images are looked at is drawn about it for every set (decision 76).
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ MARGIN = 0.1
 TRIES = 10_000
 """For a value that lies within."""
 SEEDS = 2**48
-SURROUNDINGS, PLAN, LIGHT, NOISE = 11, 12, 13, 14
+SURROUNDINGS, PLAN, LIGHT, NOISE, KNOWN_BEFORE = 11, 12, 13, 14, 15
 """What the seed is drawn for."""
 
 
@@ -126,12 +127,26 @@ def truth_of(number: int, model: Model, images: int, seed: int) -> Truth:
     return Truth(number, model, poses, _seed(np.random.default_rng((seed, LIGHT, number))))
 
 
+def priors_of(truth: Truth, seed: int) -> dict[str, float]:
+    """Means of priors by path, drawn about a truth: of what was measured before each set was, by somebody else."""
+    random = np.random.default_rng((seed, KNOWN_BEFORE))
+    leaves, fit = truth.model.leaves(), truth.model.fit
+    known = {path: (float(leaves[path]), fit[path].prior_sd) for path in free_paths(truth.model)}
+    return {path: _within(random, truth.model, path, at, sd) for path, (at, sd) in known.items() if sd is not None}
+
+
 def _drawn(random: np.random.Generator, model: Model, path: str) -> float:
     fit = model.fit[path]
-    room = fit.upper - fit.lower
     mean, sd = fit.prior_mean, fit.prior_sd
     if mean is None or sd is None:
-        mean, sd = float(model.leaves()[path]), MARGIN * room
+        mean, sd = float(model.leaves()[path]), MARGIN * (fit.upper - fit.lower)
+    return _within(random, model, path, mean, sd)
+
+
+def _within(random: np.random.Generator, model: Model, path: str, mean: float, sd: float) -> float:
+    """A normal number that keeps its distance from the path's limits."""
+    fit = model.fit[path]
+    room = fit.upper - fit.lower
     lower, upper = fit.lower + MARGIN * room, fit.upper - MARGIN * room
     for _ in range(TRIES):
         value = float(random.normal(mean, sd))

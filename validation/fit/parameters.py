@@ -13,7 +13,7 @@ discrepancy.0                         how much of a known error of the model the
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,6 +70,11 @@ class Unknowns:
     def named(self, values: Real) -> dict[str, float]:
         """Values by name."""
         return dict(zip(self.names, (float(value) for value in values), strict=True))
+
+    def with_priors(self, model: Model) -> Unknowns:
+        """The same with the limits and priors of another model for its parameters."""
+        own = {path: model_parameter(model, path) for path in self.model_paths}
+        return replace(self, parameters=tuple(own.get(one.name, one) for one in self.parameters))
 
     def within(self, values: Real) -> Real:
         """Values brought back inside the limits, which rounding may pass by a last digit."""

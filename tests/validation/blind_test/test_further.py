@@ -35,13 +35,14 @@ def folder(tmp_path: Path) -> Path:
     asked = Asked(tmp_path / "sets", Counts(3, nothing=3, draws=3), 4, 20.0, plan, find_model("paper"), (), PIXELS,
                   HISTORIES)  # fmt: skip
     nobody: Any = None
-    make(begin(asked), nobody, nobody)
+    priors = {one.id: one.priors for one in make(begin(asked), nobody, nobody).sets}
     mirror = plan.samples[1].model_dump(mode="json", exclude_defaults=True)
     for name, sample in (("set-1", mirror | {"id": "next", "distance_um": 60.0}), ("set-2", mirror), ("set-3", None)):
         proposal = None if sample is None else {"sample": sample}
         sealed = json.loads((asked.folder / SETS / name / "seal.json").read_text())["sha256"]
         data = read_dataset(asked.folder / SETS / name).sha256
-        said = record("cannot_tell_apart", "vignetting", seal=sealed, dataset_sha256=data, next_measurement=proposal)
+        said = record("cannot_tell_apart", "vignetting", seal=sealed, dataset_sha256=data, next_measurement=proposal,
+                      priors=priors[name])  # fmt: skip
         write_whole(asked.folder / VERDICTS / f"{name}.json", said)
     return chained(asked.folder, ("set-1", "set-2", "set-3"))
 
@@ -50,6 +51,7 @@ def test_a_further_image_is_of_the_same_truth(folder: Path, tmp_path: Path) -> N
     """Old images byte for byte, a new one as bright; sealed anew, with the seal of the set that it follows."""
     out = tmp_path / "further"
     index = measure(folder, out)
+    assert index.sets == read_index(folder).sets[:2]  # what was known of a scene before is as it was
     assert [one.id for one in index.sets] == ["set-1", "set-2"]
     for name, frames in (("set-1", 1), ("set-2", 4)):
         old, new = read_dataset(folder / SETS / name), read_dataset(out / SETS / name)
@@ -63,7 +65,7 @@ def test_a_further_image_is_of_the_same_truth(folder: Path, tmp_path: Path) -> N
         assert 0.75 < (float(image.max()) - 64.0) / 3800.0 < 0.95
         before = json.loads((folder / VERDICTS / f"{name}.json").read_text())
         sealed = json.loads((out / SETS / name / "seal.json").read_text())["sha256"]
-        after = opened(out, name, {"seal": sealed, "dataset_sha256": new.sha256})
+        after = opened(out, name, {"seal": sealed, "dataset_sha256": new.sha256, "priors": before["priors"]})
         assert after.follows == before["seal"] != sealed
         assert after.truth == opened(folder, name, before).truth
     assert len({noise_seed(opened(folder, name, read_record(folder, name)), 2) for name in ("set-1", "set-2")}) == 2
@@ -116,7 +118,8 @@ def test_the_truth_is_about_a_model_of_ones_own(tmp_path: Path) -> None:
     index = make(begin(asked), nobody, nobody)
     sealed, data = index.seals["set-1"], read_dataset(asked.folder / SETS / "set-1").sha256
     asks = {"sample": plan.samples[1].model_dump(mode="json", exclude_defaults=True)}
-    said = record("cannot_tell_apart", "vignetting", seal=sealed, dataset_sha256=data, next_measurement=asks)
+    said = record("cannot_tell_apart", "vignetting", seal=sealed, dataset_sha256=data, next_measurement=asks,
+                  priors=index.sets[0].priors)  # fmt: skip
     write_whole(asked.folder / VERDICTS / "set-1.json", Chain().added(said))
     further = measure(asked.folder, tmp_path / "further")
     assert model_of(tmp_path / "further", further) == model

@@ -7,11 +7,12 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
+import numpy as np
 import pytest
 
 from luxloop.errors import InputError
 from luxloop.model_file import find_model
-from tests.validation.analytic import MODEL, PATHS, Spots, two_images
+from tests.validation.analytic import HALO, MODEL, PATHS, SIGMA, Spots, two_images
 from tests.validation.blind_test.pretend import answer, bound_folder_of, folder_of, record
 from validation.blind_test import told
 from validation.blind_test.bound import Chain, close
@@ -109,6 +110,43 @@ def test_a_further_set_of_a_light_ends_where_a_fit_of_its_own_does_with_fewer_qu
     again, afresh = engine(SharedDiagnosing, 2, shared=shared)
     again.fitted(MODEL)
     assert afresh.asked > fewer.asked
+
+
+def test_a_further_set_of_a_light_is_fitted_by_its_own_priors() -> None:
+    """By what its entry says was known before, as a fit by itself is; the first one's are another laboratory's."""
+    solver, shared, known = Solver(1000), Shared("a"), cast("Any", SimpleNamespace(specs=[]))
+    tight = MODEL.model_copy(
+        update={"fit": MODEL.fit | {SIGMA: MODEL.fit[SIGMA].model_copy(update={"prior_sd": 0.02})}}
+    )
+    first, second = (Entry(id=f"set-{n}", light="a", priors={SIGMA: mean}) for n, mean in ((1, 5.95), (2, 6.05)))
+
+    def engine(kind: Any, one: Entry, **more: Any) -> Any:
+        observed = Observed(tuple(two_images(int(one.id[-1]))), (), (), {})
+        return kind(one.known_before(tight), observed, Spots(), known, solver, PATHS, **more)
+
+    begun: Any = engine(SharedDiagnosing, first, shared=shared)
+    shared.ground = cast("Any", SimpleNamespace(fit=begun.fitted(begun.model)))
+    alone, other, found = (
+        each.fitted(each.model)
+        for each in (
+            engine(Diagnosing, second), engine(Diagnosing, first.model_copy(update={"id": "set-2"})),
+            engine(SharedDiagnosing, second, shared=shared),
+        )
+    )  # fmt: skip
+    assert abs(alone.value(SIGMA) - other.value(SIGMA)) > 0.5 * alone.error(SIGMA)
+    for path in PATHS:
+        assert abs(found.value(path) - alone.value(path)) < 0.1 * alone.error(path)
+    assert found.model.fit[SIGMA].prior_mean == 6.05
+    np.testing.assert_allclose(found.residual_with_priors[-1], alone.residual_with_priors[-1], atol=0.1)
+
+
+def test_priors_that_the_model_has_not_are_refused() -> None:
+    """An index that somebody wrote into."""
+    for path in ("environment.nothing", HALO):
+        with pytest.raises(InputError, match=f"set-1: priors: got '{path}'"):
+            Entry(id="set-1", light="a", priors={path: 0.5}).known_before(MODEL)
+    with pytest.raises(InputError, match=r"set-1: priors.*prior_mean.*1 to 15"):
+        Entry(id="set-1", light="a", priors={SIGMA: 50.0}).known_before(MODEL)
 
 
 def test_the_structure_of_a_further_set_is_that_of_the_first_sets_contrasts() -> None:

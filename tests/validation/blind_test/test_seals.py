@@ -86,6 +86,20 @@ def test_a_verdict_on_other_data_is_found(folder: Path) -> None:
         score([folder])
 
 
+def test_a_verdict_by_other_priors_is_found(tmp_path: Path) -> None:
+    """What a set was said to be known by before is sealed with it, and so is that nothing was."""
+    own, none = {"priors": {"environment.receiver.reflectance": 0.31}}, {"priors": {}}
+    for sealed, told_of in ((own, none), (none, own), (own, own), (none, none), (none, {})):
+        path = tmp_path / f"{len(list(tmp_path.iterdir()))}"
+        folder_of(path, (answer("set-1", **sealed), record("nothing_visible", **told_of)))
+        if sealed["priors"] == told_of.get("priors", {}):
+            assert score([path])["sets"] == 1
+            continue
+        with pytest.raises(InputError, match="told other priors than were drawn with the set") as error:
+            score([path])
+        assert error.value.field == "set-1: priors"
+
+
 @pytest.mark.parametrize("salt", [None, "", "00", "no hex", 7])
 def test_a_seal_without_its_salt(folder: Path, salt: object) -> None:
     """Nothing can be proved without it."""

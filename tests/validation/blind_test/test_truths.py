@@ -6,13 +6,23 @@ from collections import Counter
 from pathlib import Path
 
 import pytest
+from scipy.stats import kstest, truncnorm
 
 from luxloop.errors import InputError
 from luxloop.model_file import find_model
 from validation import blind
 from validation.blind_test.groups import GROUPS, group_of
 from validation.blind_test.making import Asked
-from validation.blind_test.truths import Counts, Kinds, camera_of, planned, sample_of, surroundings_of, truth_of
+from validation.blind_test.truths import (
+    Counts,
+    Kinds,
+    camera_of,
+    planned,
+    priors_of,
+    sample_of,
+    surroundings_of,
+    truth_of,
+)
 from validation.dataset.simulation_plan import DECLARED, paper_plan
 from validation.fit.parameters import free_paths
 
@@ -57,6 +67,24 @@ def test_truths_are_drawn_within_the_priors() -> None:
     assert all(fixed[path] == one for path, one in found[0].model.leaves().items() if path in fixed)
     assert len(found[0].poses) == 6
     assert 0.0 < abs(found[0].poses[0].shift_row_px) < 3.0
+
+
+def test_what_is_known_before_is_drawn_about_the_truth_for_every_set() -> None:
+    """Twenty sets of one light had the truth's distance from one prior in common, which every test is told once."""
+    truth = truth_of(7, PAPER, 6, seed=2)
+    sets = [priors_of(truth, one.seed) for one in planned(Counts(sets=400, nothing=400, draws=400), seed=3)]
+    assert sets[0] == priors_of(truth, planned(Counts(sets=400, nothing=400, draws=400), seed=3)[0].seed)
+    with_prior = [path for path in free_paths(PAPER) if PAPER.fit[path].prior_sd is not None]
+    assert len(with_prior) == 2
+    for path in with_prior:
+        limits, at = PAPER.fit[path], float(truth.model.leaves()[path])
+        means = [one[path] for one in sets]
+        margin, sd = 0.1 * (limits.upper - limits.lower), float(limits.prior_sd or 0.0)
+        low, high = limits.lower + margin, limits.upper - margin
+        assert low <= min(means) < max(means) <= high
+        expected = truncnorm((low - at) / sd, (high - at) / sd, at, sd)
+        assert kstest(means, expected.cdf).pvalue > 0.01
+    assert all(set(one) == set(with_prior) for one in sets)
 
 
 def test_a_prior_outside_of_where_truths_are_drawn_is_refused() -> None:
