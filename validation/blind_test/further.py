@@ -66,9 +66,8 @@ def _asked(folder: Path, out: Path) -> Index:
     if not (out / INDEX).exists():
         return index
     there = read_index(out)
-    if there.model_copy(update={"sets": index.sets, "seals": {}, "root": None}) != index or not (
-        set(there.sets) <= set(index.sets)
-    ):
+    is_of_these = all(one in index.sets for one in there.sets)
+    if there.model_copy(update={"sets": index.sets, "seals": {}, "root": None}) != index or not is_of_these:
         raise InputError("OUT", str(out), "an empty folder, or one that the same command began", "name another one")
     return index.model_copy(update={"seals": there.seals, "root": there.root if there.sets == index.sets else None})
 

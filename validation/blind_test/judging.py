@@ -23,6 +23,7 @@ from luxloop.effect import EffectSpec
 from luxloop.errors import InputError
 from luxloop.model import Model
 from luxloop.model_file import find_model
+from luxloop.words import sha256_of
 from validation.blind_test.bound import Chain, chain_of, refuse_opened
 from validation.blind_test.folders import SCHEMA, SETS, Entry, Index, model_of, write_whole
 from validation.blind_test.records import maps_path, record_path
@@ -164,7 +165,8 @@ class Judge:
         sealed = seal_on(self.folder, one.id)  # of what is judged: a seal that comes later is no seal
         start = time.monotonic()
         dataset = read_dataset(self.folder / SETS / one.id)
-        solver = SharedSolver(self.solver.histories, self.solver.seed, self.solver.most_histories, shared=shared)
+        seed = seed_of(self.solver.seed, one.light)
+        solver = SharedSolver(self.solver.histories, seed, self.solver.most_histories, shared=shared)
         first = shared.ground is None
         engine = SharedDiagnosing(
             one.known_before(self.model), Observed.of(dataset), self.predictor, self.known, solver,
@@ -188,6 +190,11 @@ class Judge:
         placed = chain.added(record)
         write_whole(record_path(self.folder, one.id), placed)
         return placed
+
+
+def seed_of(seed: int, light: str) -> int:
+    """Of all that is random in verdicts on a light: by one seed, modules of all truths would err alike."""
+    return int(sha256_of([seed, light])[:12], 16)
 
 
 def not_made(folder: Path, index: Index) -> list[str]:

@@ -14,10 +14,10 @@ from luxloop.errors import InputError
 from luxloop.model_file import find_model
 from tests.validation.analytic import HALO, MODEL, PATHS, SIGMA, Spots, two_images
 from tests.validation.blind_test.pretend import answer, bound_folder_of, folder_of, record
-from validation.blind_test import told
+from validation.blind_test import judging, told
 from validation.blind_test.bound import Chain, close
 from validation.blind_test.folders import CHAIN, SETS, Entry, read_index, write_whole
-from validation.blind_test.judging import Judge, Shared, SharedDiagnosing, SharedSolver, not_made
+from validation.blind_test.judging import KEPT, Judge, Shared, SharedDiagnosing, SharedSolver, not_made, seed_of
 from validation.blind_test.records import read_record, record_path
 from validation.blind_test.seals import seal
 from validation.comparing import Solver
@@ -138,6 +138,41 @@ def test_a_further_set_of_a_light_is_fitted_by_its_own_priors() -> None:
         assert abs(found.value(path) - alone.value(path)) < 0.1 * alone.error(path)
     assert found.model.fit[SIGMA].prior_mean == 6.05
     np.testing.assert_allclose(found.residual_with_priors[-1], alone.residual_with_priors[-1], atol=0.1)
+
+
+def test_a_light_is_judged_by_random_numbers_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By one seed the anchors of all truths erred alike; the record says by which, and what was known before."""
+    sets = [answer(f"set-{n}", light=light) for n, light in ((1, "of-a"), (2, "of-a"), (3, "of-b"))]
+    folder, nobody = bound_folder_of(tmp_path / "run", *((one, None) for one in sets)), cast("Any", None)
+    own = {SIGMA: 6.5}
+    index = read_index(folder)
+    index = index.model_copy(
+        update={"sets": tuple(one.model_copy(update={"priors": own}) for one in index.sets)}
+    )  # as `make` writes it
+    asked: list[tuple[float | None, int]] = []
+
+    def diagnosed(self: SharedDiagnosing) -> Any:
+        asked.append((self.model.fit[SIGMA].prior_mean, self.solver.seed))
+
+    monkeypatch.setattr(SharedDiagnosing, "diagnosed", diagnosed)
+    monkeypatch.setattr(judging, "read_dataset", lambda _: SimpleNamespace(sha256="d" * 64))
+    monkeypatch.setattr(judging, "Observed", SimpleNamespace(of=lambda _: None))
+    monkeypatch.setattr(judging, "residuals_of", lambda _: {})
+    monkeypatch.setattr(
+        judging, "document", lambda _, seed: record("one_effect", "vignetting") | dict.fromkeys(KEPT) | {"seed": seed}
+    )
+    by_seed = {}
+    for seed in (1, 2):
+        judge = Judge(folder, MODEL, nobody, nobody, Solver(None, seed))
+        shared = Shared()
+        records = [judge._verdict(one, shared, Chain()) for one in index.sets]
+        by_seed[seed] = [one["seed"] for one in records]
+        assert [one["priors"] for one in records] == [own] * 3
+        assert [one["solver"]["seed"] for one in records] == [seed] * 3
+    assert asked == [(6.5, seed) for seeds in by_seed.values() for seed in seeds]
+    assert by_seed[1][0] == by_seed[1][1] == seed_of(1, "of-a")
+    assert len({*by_seed[1], *by_seed[2]}) == 4
+    assert all(0 <= seed <= 10**15 for seed in (*by_seed[1], *by_seed[2]))
 
 
 def test_priors_that_the_model_has_not_are_refused() -> None:
