@@ -27,7 +27,7 @@ from luxloop.errors import InputError
 from luxloop.model import Model
 from luxloop.settings import load_settings
 from validation.blind_test.folders import OPENED, SETS, Entry, read_index
-from validation.blind_test.judging import Shared, SharedDiagnosing, SharedSolver, chosen_model, seed_of
+from validation.blind_test.judging import Shared, SharedDiagnosing, SharedSolver, chosen_model, seed_of_light
 from validation.blind_test.records import read_record
 from validation.blind_test.seals import opened
 from validation.blind_test.truths import truth_of
@@ -63,7 +63,7 @@ class Draw:
 def drawn(folder: Path, light: str, sets: list[Entry], client: Client, model: Model, seed: int) -> list[Draw]:
     """All draws of a light, as verdicts see them."""
     predictor, known, shared = Predictor(client), Known.ask(client), Shared(light)
-    plain = Solver.of_diagnosis(HISTORIES, seed_of(seed, light), None)
+    plain = Solver.of_diagnosis(HISTORIES, seed_of_light(seed, light), None)
     solver = SharedSolver(plain.histories, plain.seed, plain.most_histories, shared=shared)
     found = []
     for one in sets:

@@ -1,6 +1,7 @@
 """A folder of blind sets: what lies where, and files that are written whole or not at all.
 
-FOLDER/blind.json            what was asked for, but for what is hidden; the sets by name and light, the root
+FOLDER/blind.json            what was asked for, but for what is hidden; the sets by name and light, with what is
+                             known of each before; the root
        model.toml            the model that the sets are made about, where it is none that luxloop ships
        sets/ID/              an ordinary data set, and seal.json: the hash of the answer
        answers/ID.json       salt and answer; nobody needs it before the score
@@ -21,15 +22,16 @@ from pydantic import Field
 
 from luxloop import __version__
 from luxloop.errors import InputError
-from luxloop.model import Fit, Model
+from luxloop.model import Model
 from luxloop.model_file import find_model
-from luxloop.words import Name, Sha256, Words, parse
+from luxloop.words import Name, Sha256, Words, parse, sha256_of
 
 SCHEMA: Literal["luxloop-blind/1"] = "luxloop-blind/1"
 INDEX, SETS, ANSWERS, VERDICTS, SEAL = "blind.json", "sets", "answers", "verdicts", "seal.json"
 CHAIN, OPENED, MODEL = "chain.json", "opened", "model.toml"
 WEAK, ASKED = "too-weak.json", "asked.json"
 """Beside the answers: kinds that do not show as strongly as was asked; what was asked for."""
+CHANGED = f"{INDEX} was changed: put back the one that was there"
 
 
 class Entry(Words):
@@ -46,9 +48,11 @@ class Entry(Words):
         fit = dict(model.fit)
         for path, mean in self.priors.items():
             if path not in fit or fit[path].prior_sd is None:
-                mend = f"{INDEX} was changed: put back the one that was there"
-                raise InputError(f"{self.id}: priors", path, "a parameter of the model that has a prior", mend)
-            fit[path] = parse(Fit, fit[path].model_dump() | {"prior_mean": mean}, f"{self.id}: priors.{path}")
+                raise InputError(f"{self.id}: priors", path, "a parameter of the model that has a prior", CHANGED)
+            own = fit[path].model_copy(update={"prior_mean": mean})
+            if not own.lower <= mean <= own.upper:
+                raise InputError(f"{self.id}: priors.{path}", mean, f"{own.lower:g} to {own.upper:g}", CHANGED)
+            fit[path] = own
         return model.model_copy(update={"fit": fit})
 
 
@@ -91,6 +95,11 @@ def model_of(folder: Path, index: Index) -> Model:
         mend = "take the luxloop that made the sets, or put the file back"
         raise InputError(f"{folder.name}: model {index.model}", found.sha256, f"{index.model_sha256}", mend)
     return found
+
+
+def hash_of_fit(model: Model) -> str:
+    """The hash of all that a fit is told of a model's parameters: what is free, limits, priors."""
+    return sha256_of({path: fit.model_dump(mode="json") for path, fit in model.fit.items()})
 
 
 def of_this_version(data: Mapping[str, Any], field: str, what: str) -> None:

@@ -21,7 +21,7 @@ from validation.blind_test.bound import chain_of, check_root, close
 from validation.blind_test.folders import INDEX, MODEL, SETS, Entry, Index, model_of, read_index, write_whole
 from validation.blind_test.records import read_record, record_path
 from validation.blind_test.scenes import Lights, mean_of
-from validation.blind_test.seals import Answer, opened, seal
+from validation.blind_test.seals import Answer, opened, refuse_other_entry, seal
 from validation.blind_test.truths import Truth, camera_of, sample_of, truth_of
 from validation.dataset.folder import Dataset, read_dataset, write_sums
 from validation.dataset.images import read_tiff, write_tiff
@@ -83,6 +83,7 @@ def _proposal(folder: Path, name: str) -> dict[str, Any] | None:
 def _measure_one(folder: Path, out: Path, one: Entry, index: Index) -> None:
     record = read_record(folder, one.id)
     answer = opened(folder, one.id, record)
+    refuse_other_entry(one, answer)
     dataset = read_dataset(folder / SETS / one.id)
     asked = record["next_measurement"]
     sample = parse(Sample, asked["sample"], "next_measurement.sample")

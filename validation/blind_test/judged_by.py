@@ -30,7 +30,8 @@ def words_of(record: Mapping[str, Any]) -> str:
     most = solver.get("most_histories")
     how += f" (the last anchor up to {most:,})" if most else ""
     effects = f"{len(among)} chosen effects ({', '.join(among)})" if among else f"all {record['known']} effects"
-    return f"{_model(str(record['model_sha256']))}, {how}, seed {solver['seed']}, {effects}"
+    known = f"with priors of each set, {how}, a seed of each light by" if record.get("fit_sha256") else f"{how},"
+    return f"{_model(str(record['model_sha256']))}, {known} seed {solver['seed']}, {effects}"
 
 
 def _model(sha256: str) -> str:

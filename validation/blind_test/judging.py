@@ -25,7 +25,7 @@ from luxloop.model import Model
 from luxloop.model_file import find_model
 from luxloop.words import sha256_of
 from validation.blind_test.bound import Chain, chain_of, refuse_opened
-from validation.blind_test.folders import SCHEMA, SETS, Entry, Index, model_of, write_whole
+from validation.blind_test.folders import SCHEMA, SETS, Entry, Index, hash_of_fit, model_of, write_whole
 from validation.blind_test.records import maps_path, record_path
 from validation.blind_test.seals import seal_on
 from validation.comparing import Solver
@@ -91,7 +91,7 @@ class SharedDiagnosing(Diagnosing):
             self.shared.frozen = self.shared.frozen or frozen_at(first.fit.problem, first.fit.values)
             own = replace(
                 self.shared.frozen, images=self.observed.images, model=model,
-                unknowns=self.shared.frozen.unknowns.with_priors(model),
+                unknowns=self.shared.frozen.unknowns.with_limits_of(model),
             )  # fmt: skip
             found = unclipped(own, first.fit.values)
             return thawed(found, first.fit.problem)
@@ -165,20 +165,21 @@ class Judge:
         sealed = seal_on(self.folder, one.id)  # of what is judged: a seal that comes later is no seal
         start = time.monotonic()
         dataset = read_dataset(self.folder / SETS / one.id)
-        seed = seed_of(self.solver.seed, one.light)
+        seed = seed_of_light(self.solver.seed, one.light)
+        model = one.known_before(self.model)
         solver = SharedSolver(self.solver.histories, seed, self.solver.most_histories, shared=shared)
         first = shared.ground is None
         engine = SharedDiagnosing(
-            one.known_before(self.model), Observed.of(dataset), self.predictor, self.known, solver,
+            model, Observed.of(dataset), self.predictor, self.known, solver,
             tuple(free_paths(self.model)), self.cache, among=self.among, shared=shared,
         )  # fmt: skip
         found = engine.diagnosed()
         told = document(found, solver.seed)
         record = {
             "schema": SCHEMA, "id": one.id, "light": one.light, "seal": sealed, "dataset_sha256": dataset.sha256,
-            "model_sha256": self.model.sha256, "priors": one.priors, "solver": self.solver.document(),
-            "among": list(self.among), "version": __version__, "seconds": time.monotonic() - start,
-            "first_of_light": first,
+            "model_sha256": self.model.sha256, "priors": one.priors, "fit_sha256": hash_of_fit(model),
+            "solver": self.solver.document(), "among": list(self.among), "version": __version__,
+            "seconds": time.monotonic() - start, "first_of_light": first,
             **{name: told[name] for name in KEPT},
         }  # fmt: skip
         if first or record["verdict"] != "nothing_visible":
@@ -192,7 +193,7 @@ class Judge:
         return placed
 
 
-def seed_of(seed: int, light: str) -> int:
+def seed_of_light(seed: int, light: str) -> int:
     """Of all that is random in verdicts on a light: by one seed, modules of all truths would err alike."""
     return int(sha256_of([seed, light])[:12], 16)
 

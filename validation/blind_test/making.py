@@ -32,6 +32,7 @@ from validation.blind_test.folders import (
     SETS,
     Entry,
     Index,
+    hash_of_fit,
     read_index,
     read_json,
     write_whole,
@@ -44,6 +45,7 @@ from validation.blind_test.truths import (
     Counts,
     Kinds,
     Planned,
+    Truth,
     camera_of,
     planned,
     priors_of,
@@ -160,7 +162,7 @@ def _make_one(asked: Asked, scene: Scene, one: Planned, kinds: Kinds) -> None:
     found: list[tuple[blind.Hidden, Light, Halves]] = []
     for _ in range(one.count):
         found.append(_hidden(asked, scene, one, kinds, [each[0].kind for each in found]))
-    hidden = [each[0] for each in found]
+    hidden, entry = [each[0] for each in found], _entry(one, scene.truth)
     light = found[0][1] if len(found) == 1 else scene.lights.of(hidden) if found else scene.lights.plain
     whole = sigma_of(scene.change(scene.lights, light, hidden)) if found else 0.0
     raw = blind.recorded(scene.signals(mean_of(light), hidden), scene.camera, hidden, one.seed)
@@ -173,8 +175,8 @@ def _make_one(asked: Asked, scene: Scene, one: Planned, kinds: Kinds) -> None:
     write_images(temporary, asked.plan, one.id, raw, scene.exposure[0], np.uint16)
     answer = Answer(
         id=one.id, hidden=hidings, asked_sigma=asked.sigma if found else 0.0, sigma=whole,
-        truth=scene.truth.document(), light=one.light, priors=priors_of(scene.truth, one.seed), seed=asked.seed,
-        histories=asked.histories,
+        truth=scene.truth.document(), light=one.light, priors=entry.priors,
+        fit_sha256=hash_of_fit(entry.known_before(asked.model)), seed=asked.seed, histories=asked.histories,
         dataset_sha256=read_dataset(temporary).sha256, seconds=time.monotonic() - start,
     )  # fmt: skip
     seal(asked.folder, temporary, answer)
@@ -223,7 +225,8 @@ def seed_of(folder: Path, seed: int | None) -> int:
 
 def _index(asked: Asked, plan: Sequence[Planned]) -> Index:
     """What the folder says of itself; InputError where it has other sets."""
-    entries = tuple(sorted((_entry(asked, one) for one in plan), key=lambda one: one.id))
+    truths = {k: truth_of(k, asked.model, len(asked.plan.samples), asked.seed) for k in {one.truth for one in plan}}
+    entries = tuple(sorted((_entry(one, truths[one.truth]) for one in plan), key=lambda one: one.id))
     model = next((name for name in SHIPPED if find_model(name).sha256 == asked.model.sha256), MODEL)
     index = Index(plan=asked.plan.name, model=model, model_sha256=asked.model.sha256, sets=entries)
     path = asked.folder / ANSWERS / ASKED
@@ -238,8 +241,7 @@ def _index(asked: Asked, plan: Sequence[Planned]) -> Index:
     return index
 
 
-def _entry(asked: Asked, one: Planned) -> Entry:
-    truth = truth_of(one.truth, asked.model, len(asked.plan.samples), asked.seed)
+def _entry(one: Planned, truth: Truth) -> Entry:
     return Entry(id=one.id, light=one.light, priors=priors_of(truth, one.seed))
 
 

@@ -15,10 +15,10 @@ from typing import Any
 from luxloop.errors import InputError
 from validation.blind_test.alone import refuse_busy
 from validation.blind_test.bound import chain_of, check_maps, check_root, refuse_opened
-from validation.blind_test.folders import Index, read_index
+from validation.blind_test.folders import Entry, Index, read_index
 from validation.blind_test.groups import group_of
 from validation.blind_test.records import read_record, record_path
-from validation.blind_test.seals import Answer, has_data, opened
+from validation.blind_test.seals import Answer, has_data, opened, refuse_other_entry
 from validation.diagnose.held_out import Change
 from validation.effects.confounding import TOLD_APART
 
@@ -204,33 +204,34 @@ def marked(folders: Sequence[Path]) -> list[Marked]:
     """All sets of all folders that have a verdict; only their seals are opened.
 
     Raises InputError where there is no verdict at all, where a diagnosis works in a folder, where two sets have one
-    seal, the same data, or follow one set, and what `bound.check_root`, `refuse_opened`, `chain_of` and
-    `seals.opened` do.
+    seal, the same data, or follow one set, and what `bound.check_root`, `refuse_opened`, `chain_of`,
+    `seals.opened` and `refuse_other_entry` do.
     """
     found: list[Marked] = []
     seen: dict[str, str] = {}
     for folder in folders:
-        for name in _judged(folder):
-            record = read_record(folder, name)
-            check_maps(folder, name, record)
-            one = Marked(folder, opened(folder, name, record), record, has_data(folder, name))
+        for entry in _judged(folder):
+            record = read_record(folder, entry.id)
+            check_maps(folder, entry.id, record)
+            one = Marked(folder, opened(folder, entry.id, record), record, has_data(folder, entry.id))
+            refuse_other_entry(entry, one.answer)
             _count_once(one, seen)
             found.append(one)
     return found
 
 
-def _judged(folder: Path) -> list[str]:
+def _judged(folder: Path) -> list[Entry]:
     """The sets of a folder that have a verdict, once nothing was changed or taken away."""
     index: Index = read_index(folder)
     refuse_busy(folder)
     check_root(folder, index)
     refuse_opened(folder, index)
     chain_of(folder, index)
-    names = [one.id for one in index.sets if record_path(folder, one.id).exists()]
-    if not names:
+    judged = [one for one in index.sets if record_path(folder, one.id).exists()]
+    if not judged:
         mend = f"luxloop blind diagnose {folder} comes first: no seal is opened before"
         raise InputError("FOLDER", str(folder), "sets with verdicts on record", mend)
-    return names
+    return judged
 
 
 def _count_once(one: Marked, seen: dict[str, str]) -> None:

@@ -20,7 +20,17 @@ from luxloop import __version__
 from luxloop.errors import InputError
 from luxloop.words import Name, Plain, Sha256, Words, canonical, parse
 from validation.blind_test.bound import mark_opened
-from validation.blind_test.folders import ANSWERS, SCHEMA, SEAL, SETS, of_this_version, read_json, write_whole
+from validation.blind_test.folders import (
+    ANSWERS,
+    CHANGED,
+    SCHEMA,
+    SEAL,
+    SETS,
+    Entry,
+    of_this_version,
+    read_json,
+    write_whole,
+)
 from validation.dataset.folder import SUMS, read_dataset
 from validation.dataset.manifest_file import MANIFEST
 
@@ -52,6 +62,7 @@ class Answer(Words):
     truth: Plain = Field(description="Surroundings and poses.")
     light: Name
     priors: dict[str, float] = Field(default_factory=dict, description="The set's own; none: the model's.")
+    fit_sha256: Sha256 | None = Field(None, description="The hash of all that verdicts know before; none: not told.")
     seed: int
     histories: int
     dataset_sha256: Sha256
@@ -104,13 +115,20 @@ def opened(folder: Path, name: str, verdict: dict[str, Any]) -> Answer:
         mend = "the verdict is on other data: the set does not count"
         found = verdict.get("dataset_sha256")
         raise InputError(f"{name}: data", found, f"the data that were sealed, {answer.dataset_sha256[:16]}...", mend)
-    if verdict.get("priors", {}) != answer.priors:
-        mend = "the verdict was told other priors than were drawn with the set: it does not count"
-        raise InputError(f"{name}: priors", verdict.get("priors"), str(answer.priors), mend)
+    if verdict.get("fit_sha256") != answer.fit_sha256:
+        mend = "the verdict was told other priors, or limits, than were sealed with the set: it does not count"
+        raise InputError(f"{name}: priors", verdict.get("fit_sha256"), f"the hash {answer.fit_sha256}", mend)
     if has_data(folder, name):
         _check_data(folder, name, answer.dataset_sha256)
     mark_opened(folder, name, verdict)
     return answer
+
+
+def refuse_other_entry(one: Entry, answer: Answer) -> None:
+    """InputError where the index says another light of a set, or other priors, than were sealed."""
+    for what, found, sealed in (("light", one.light, answer.light), ("priors", one.priors, answer.priors)):
+        if found != sealed:
+            raise InputError(f"{one.id}: {what}", found, f"the {what} that were sealed, {sealed}", CHANGED)
 
 
 def has_data(folder: Path, name: str) -> bool:

@@ -15,7 +15,7 @@ import numpy as np
 
 from luxloop.effect import did_you_mean
 from luxloop.errors import InputError
-from luxloop.model import Model
+from luxloop.model import Fit, Model
 from validation import blind
 from validation.blind_test.groups import group_of
 from validation.dataset.manifest import CameraFacts, Sample
@@ -128,11 +128,14 @@ def truth_of(number: int, model: Model, images: int, seed: int) -> Truth:
 
 
 def priors_of(truth: Truth, seed: int) -> dict[str, float]:
-    """Means of priors by path, drawn about a truth: of what was measured before each set was, by somebody else."""
+    """Means of priors by path, drawn about a truth: of what was measured before each set was, by somebody else.
+
+    Cut only where a prior may not lie, beyond the limits of a fit: the nearer a cut is, the more of it sets share.
+    """
     random = np.random.default_rng((seed, KNOWN_BEFORE))
     leaves, fit = truth.model.leaves(), truth.model.fit
     known = {path: (float(leaves[path]), fit[path].prior_sd) for path in free_paths(truth.model)}
-    return {path: _within(random, truth.model, path, at, sd) for path, (at, sd) in known.items() if sd is not None}
+    return {path: _within(random, fit[path], path, at, sd) for path, (at, sd) in known.items() if sd is not None}
 
 
 def _drawn(random: np.random.Generator, model: Model, path: str) -> float:
@@ -140,19 +143,18 @@ def _drawn(random: np.random.Generator, model: Model, path: str) -> float:
     mean, sd = fit.prior_mean, fit.prior_sd
     if mean is None or sd is None:
         mean, sd = float(model.leaves()[path]), MARGIN * (fit.upper - fit.lower)
-    return _within(random, model, path, mean, sd)
+    return _within(random, fit, path, mean, sd, MARGIN)
 
 
-def _within(random: np.random.Generator, model: Model, path: str, mean: float, sd: float) -> float:
-    """A normal number that keeps its distance from the path's limits."""
-    fit = model.fit[path]
-    room = fit.upper - fit.lower
-    lower, upper = fit.lower + MARGIN * room, fit.upper - MARGIN * room
+def _within(random: np.random.Generator, fit: Fit, path: str, mean: float, sd: float, margin: float = 0.0) -> float:
+    """A normal number between a path's limits, as far from them as that share of their distance."""
+    room = margin * (fit.upper - fit.lower)
+    lower, upper = fit.lower + room, fit.upper - room
     for _ in range(TRIES):
         value = float(random.normal(mean, sd))
         if lower <= value <= upper:
             return value
-    allowed = f"a prior with room between {lower:g} and {upper:g}, where truths are drawn"
+    allowed = f"a prior with room between {lower:g} and {upper:g}, where it is drawn from"
     raise InputError(f'fit."{path}"', f"{mean:g} +- {sd:g}", allowed, "move its limits, or the prior")
 
 

@@ -71,7 +71,7 @@ class Unknowns:
         """Values by name."""
         return dict(zip(self.names, (float(value) for value in values), strict=True))
 
-    def with_priors(self, model: Model) -> Unknowns:
+    def with_limits_of(self, model: Model) -> Unknowns:
         """The same with the limits and priors of another model for its parameters."""
         own = {path: model_parameter(model, path) for path in self.model_paths}
         return replace(self, parameters=tuple(own.get(one.name, one) for one in self.parameters))

@@ -16,7 +16,17 @@ from tests.validation.blind_test.pretend import answer, bound_folder_of, chained
 from tests.validation.blind_test.test_blind_command import HISTORIES, PIXELS, PLAN
 from validation.blind_test.alone import alone
 from validation.blind_test.bound import Chain
-from validation.blind_test.folders import ANSWERS, OPENED, SETS, VERDICTS, model_of, read_index, write_whole
+from validation.blind_test.folders import (
+    ANSWERS,
+    INDEX,
+    OPENED,
+    SETS,
+    VERDICTS,
+    hash_of_fit,
+    model_of,
+    read_index,
+    write_whole,
+)
 from validation.blind_test.further import measure, noise_seed
 from validation.blind_test.making import Asked, begin, make
 from validation.blind_test.records import read_record
@@ -35,14 +45,14 @@ def folder(tmp_path: Path) -> Path:
     asked = Asked(tmp_path / "sets", Counts(3, nothing=3, draws=3), 4, 20.0, plan, find_model("paper"), (), PIXELS,
                   HISTORIES)  # fmt: skip
     nobody: Any = None
-    priors = {one.id: one.priors for one in make(begin(asked), nobody, nobody).sets}
+    sets = {one.id: one for one in make(begin(asked), nobody, nobody).sets}
     mirror = plan.samples[1].model_dump(mode="json", exclude_defaults=True)
     for name, sample in (("set-1", mirror | {"id": "next", "distance_um": 60.0}), ("set-2", mirror), ("set-3", None)):
         proposal = None if sample is None else {"sample": sample}
         sealed = json.loads((asked.folder / SETS / name / "seal.json").read_text())["sha256"]
         data = read_dataset(asked.folder / SETS / name).sha256
         said = record("cannot_tell_apart", "vignetting", seal=sealed, dataset_sha256=data, next_measurement=proposal,
-                      priors=priors[name])  # fmt: skip
+                      fit_sha256=hash_of_fit(sets[name].known_before(asked.model)))  # fmt: skip
         write_whole(asked.folder / VERDICTS / f"{name}.json", said)
     return chained(asked.folder, ("set-1", "set-2", "set-3"))
 
@@ -65,7 +75,7 @@ def test_a_further_image_is_of_the_same_truth(folder: Path, tmp_path: Path) -> N
         assert 0.75 < (float(image.max()) - 64.0) / 3800.0 < 0.95
         before = json.loads((folder / VERDICTS / f"{name}.json").read_text())
         sealed = json.loads((out / SETS / name / "seal.json").read_text())["sha256"]
-        after = opened(out, name, {"seal": sealed, "dataset_sha256": new.sha256, "priors": before["priors"]})
+        after = opened(out, name, {"seal": sealed, "dataset_sha256": new.sha256, "fit_sha256": before["fit_sha256"]})
         assert after.follows == before["seal"] != sealed
         assert after.truth == opened(folder, name, before).truth
     assert len({noise_seed(opened(folder, name, read_record(folder, name)), 2) for name in ("set-1", "set-2")}) == 2
@@ -119,7 +129,7 @@ def test_the_truth_is_about_a_model_of_ones_own(tmp_path: Path) -> None:
     sealed, data = index.seals["set-1"], read_dataset(asked.folder / SETS / "set-1").sha256
     asks = {"sample": plan.samples[1].model_dump(mode="json", exclude_defaults=True)}
     said = record("cannot_tell_apart", "vignetting", seal=sealed, dataset_sha256=data, next_measurement=asks,
-                  priors=index.sets[0].priors)  # fmt: skip
+                  fit_sha256=hash_of_fit(index.sets[0].known_before(model)))  # fmt: skip
     write_whole(asked.folder / VERDICTS / "set-1.json", Chain().added(said))
     further = measure(asked.folder, tmp_path / "further")
     assert model_of(tmp_path / "further", further) == model
@@ -154,6 +164,12 @@ def test_it_goes_on_and_refuses_other_sets(folder: Path, tmp_path: Path) -> None
     assert (out / SETS / "set-1" / "seal.json").read_bytes() == kept
     with pytest.raises(InputError, match="verdicts that propose an image"):
         measure(out, tmp_path / "nothing")
+    index = json.loads((folder / INDEX).read_text())
+    other = index | {"sets": [one | {"priors": {}} for one in index["sets"]]}
+    (folder / INDEX).write_text(json.dumps(other))
+    with pytest.raises(InputError, match=r"set-1: priors: .* the priors that were sealed"):
+        measure(folder, tmp_path / "by-others")
+    (folder / INDEX).write_text(json.dumps(index))
     path = folder / ANSWERS / "set-1.json"
     data = json.loads(path.read_text())
     data["answer"]["seed"] += 1

@@ -88,16 +88,27 @@ def test_a_verdict_on_other_data_is_found(folder: Path) -> None:
 
 def test_a_verdict_by_other_priors_is_found(tmp_path: Path) -> None:
     """What a set was said to be known by before is sealed with it, and so is that nothing was."""
-    own, none = {"priors": {"environment.receiver.reflectance": 0.31}}, {"priors": {}}
-    for sealed, told_of in ((own, none), (none, own), (own, own), (none, none), (none, {})):
+    own, other, none = {"fit_sha256": "a" * 64}, {"fit_sha256": "b" * 64}, {"fit_sha256": None}
+    for sealed, told_of in ((own, none), (none, own), (own, other), (own, {}), (own, own), (none, none), (none, {})):
         path = tmp_path / f"{len(list(tmp_path.iterdir()))}"
         folder_of(path, (answer("set-1", **sealed), record("nothing_visible", **told_of)))
-        if sealed["priors"] == told_of.get("priors", {}):
+        if sealed["fit_sha256"] == told_of.get("fit_sha256"):
             assert score([path])["sets"] == 1
             continue
-        with pytest.raises(InputError, match="told other priors than were drawn with the set") as error:
+        with pytest.raises(InputError, match="told other priors, or limits, than were sealed") as error:
             score([path])
         assert error.value.field == "set-1: priors"
+
+
+@pytest.mark.parametrize("changes", [{"light": "of-another"}, {"priors": {"environment.receiver.reflectance": 0.3}}])
+def test_an_index_that_says_otherwise_than_the_answer_is_found(folder: Path, changes: dict[str, Any]) -> None:
+    """Another light has other random numbers, other priors another verdict: both would be a choice."""
+    index = json.loads((folder / INDEX).read_text())
+    index["sets"][0] |= changes
+    (folder / INDEX).write_text(json.dumps(index))
+    with pytest.raises(InputError, match=r"blind\.json was changed") as error:
+        score([folder])
+    assert error.value.field == f"set-1: {next(iter(changes))}"
 
 
 @pytest.mark.parametrize("salt", [None, "", "00", "no hex", 7])
