@@ -109,9 +109,11 @@ class Predictor:
         `noise_per_mm2` (function, shot, row, column): the covariance of two pixels is the sum over functions of their
         products, and `twin_per_mm2` (shot, row, column), the twin alone, whose noise has nothing in common with
         that, unless the anchor has the stored exits; where sensors bend signals `by_gain_per_mm2` and `by_offset`
-        (shot, row, column), by which the twin's signal grows with the gain and with the offset. Images are float64,
-        for differences are taken of them; the others are float32, which rounds 6e-8 of a value: the least noisy
-        column of a scene has 1e-4, the noise knows itself to some percent.
+        (shot, row, column), by which the twin's signal grows with the gain and with the offset; about a run
+        `by_camera_per_mm2` (camera column, shot, row, pixel column) in their order in `columns`: the jacobian
+        has of them the twin's, this is of the images, with the run's noise. Images are float64, for differences are
+        taken of them; the others are float32, which rounds 6e-8 of a value: the least noisy column of a scene has
+        1e-4, the noise knows itself to some percent.
         """
         columns, cameras = _columns(request)
         _refuse_too_much(request)
@@ -132,6 +134,10 @@ class Predictor:
                 arrays["noise_per_mm2"] = found.noise_per_mm2.astype(np.float32)
             arrays["twin_per_mm2"] = found.twin_per_mm2.astype(np.float32)
             of_camera = found.of_camera_per_mm2
+            known = [column.name for column in cameras]
+            if known and request.anchor.histories:
+                order = [known.index(name) for name in request.columns if name in known]
+                arrays["by_camera_per_mm2"] = found.images_by_camera_per_mm2.astype(np.float32)[order]
         if request.columns:
             of_scene = jacobian(shots, columns, supply, report=steps.image, **job.options)
             names = [*(column.name for column in columns), *(column.name for column in cameras)]
@@ -301,7 +307,7 @@ def _bend(arrays: Arrays, shots: Sequence[Shot]) -> None:
         arrays.setdefault("by_offset", np.ones_like(by_gain))[number] = its_slope
         twin[number] = its_own
         arrays["images_per_mm2"][number] = bent
-        for name in ("noise_per_mm2", "jacobian_per_mm2"):
+        for name in ("noise_per_mm2", "jacobian_per_mm2", "by_camera_per_mm2"):
             if name in arrays:
                 arrays[name][:, number] *= slope.astype(arrays[name].dtype)
 
@@ -345,7 +351,8 @@ def _columns(request: PredictionRequest) -> tuple[list[Column], list[CameraColum
 def _refuse_too_much(request: PredictionRequest) -> None:
     """InputError where the answer would be too large; before anything is built."""
     pixels = sum(shot.camera.rows * shot.camera.columns for shot in request.shots)
-    times = 1 + len(request.columns) + (1 + MOST_FUNCTIONS if request.anchor is not None else 0)
+    anchored = 1 + MOST_FUNCTIONS + sum(name in CAMERA_COLUMNS for name in request.columns)
+    times = 1 + len(request.columns) + (anchored if request.anchor is not None else 0)
     if pixels * times > MOST_VALUES:
         mend = "fewer pixels or columns at once: ask in parts"
         raise InputError("shots", f"{pixels} pixels x {times} images of each", f"a product up to {MOST_VALUES}", mend)

@@ -81,6 +81,7 @@ PURE = {
     "sigma": "length of a whitened image",
     "asked_sigma": "length of a whitened image",
     "rivals": "lengths of whitened images, by name",
+    "priors": "each in the unit of its path",
 }
 UNIT_INSIDE = {
     "heard_s_ago": "seconds; reads as a sentence",

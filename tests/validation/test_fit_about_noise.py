@@ -12,6 +12,7 @@ from tests.validation.analytic import (
     ARRAY,
     HALO,
     MODEL,
+    POSES,
     REACH,
     SIGMA,
     SINGLE,
@@ -40,7 +41,7 @@ from validation.fit.problem import Evaluation
 from validation.fit.result import MOST_MODEL_NOISE, WANTED_NOISE
 from validation.noise import histories_for
 from validation.observed import Observed
-from validation.prediction import Anchored, Pose, Predicted, View
+from validation.prediction import POSE_COLUMNS, Anchored, Pose, Predicted, View
 
 
 def test_noise_of_the_monte_carlo_widens_the_errors():
@@ -132,6 +133,45 @@ def test_the_pace_takes_steps_that_go_on_whole():
     """A long way in one direction is not slowed down."""
     pace = descent.Pace()
     assert [pace.share_of(np.array([0.9**k, 0.1])) for k in range(5)] == [1.0] * 5
+
+
+class _Turned(Spots):
+    """How a single chip's image changes with its turn is mostly noise: the twin's, and another of the anchor's."""
+
+    by_pose = True
+
+    def images(self, model, views, paths=(), anchor=None):
+        """The images."""
+        found = []
+        for view, one in zip(views, super().images(model, views, paths, anchor), strict=True):
+            own = {path: column for path, column in one.jacobian_per_mm2.items() if path in POSE_COLUMNS}
+            light = spots(TRUTH, view)[0] if view.sample == SINGLE else 0.0 * one.irradiance_per_mm2
+            turns = [
+                column + 0.02 * np.sqrt(light) * np.random.default_rng(seed).standard_normal(light.shape)
+                for seed in (1, 2)
+                for column in [own.get("rotation_deg", 0.0)]
+            ]
+            jacobian = one.jacobian_per_mm2 | ({"rotation_deg": turns[0]} if own else {})
+            by_pose = own | {"rotation_deg": turns[1]} if own and anchor and anchor.histories else None
+            found.append(replace(one, jacobian_per_mm2=jacobian, by_pose_per_mm2=by_pose if self.by_pose else None))
+        return found
+
+
+def test_a_turn_that_hardly_shows_has_the_error_that_it_has_and_is_found_in_fewer_steps(monkeypatch):
+    """By one column for both, steps went a part of the way only, and the noise in it was taken for knowledge."""
+    noise, turn = {one.id: _waves(one, 0.01) for one in (SINGLE, ARRAY)}, "single-a.rotation_deg"
+
+    def pulls_and_steps():
+        found = [fit(MODEL, two_images(k), _Turned(noise), anchor_at=lambda at: Anchored(at, 1000)) for k in range(8)]
+        assert all(one.converged for one in found)
+        pulls = [(one.value(turn) - POSES[0].rotation_deg) / one.error(turn) for one in found]
+        return np.sqrt(np.mean(np.square(pulls))), sum(one.iterations for one in found)
+
+    pull, steps = pulls_and_steps()
+    monkeypatch.setattr(_Turned, "by_pose", False)
+    before, more = pulls_and_steps()
+    assert 0.5 < pull < 1.5 < 3.0 < before
+    assert steps < more
 
 
 class _Misled(Spots):

@@ -182,14 +182,14 @@ class Evaluation:
     def other_columns(self, white: Whitening, others: Sequence[Predicted]) -> Real:
         """The columns once more, with noise of their own that is independent but of all light's (`others`).
 
-        Gains by the anchored image.
+        Gains and poses by the anchored image, whose noise is none of the twin's.
         """
         predicted = [
             replace(
                 one,
                 twin_per_mm2=None,
                 by_gain_per_mm2=_by_gain_anchored(one),
-                jacobian_per_mm2=one.jacobian_per_mm2 | other.jacobian_per_mm2,
+                jacobian_per_mm2=one.jacobian_per_mm2 | other.jacobian_per_mm2 | (one.by_pose_per_mm2 or {}),
             )
             for one, other in zip(self.predicted, others, strict=True)
         ]

@@ -142,7 +142,7 @@ class Wanted:
 
 def predict(wanted: Wanted, views: Sequence[View], ask: Ask) -> list[Predicted]:
     """The images of views, in their order."""
-    at, times = wanted.anchor, 1 + len(wanted.paths)
+    at, times = wanted.anchor, 1 + len(wanted.paths) + len(wanted.poses)
     if at is not None and at.poses and len(at.poses) != len(views):
         raise InputError("anchor.poses", len(at.poses), f"{len(views)}, one for each view, or none")
     groups = list(_groups(views, times + ANCHOR_FUNCTIONS * (at is not None), at))
@@ -318,7 +318,10 @@ def _images(wanted: Wanted, answer: Answer) -> Iterator[Predicted]:
         twin = _real(arrays["twin_per_mm2"][shot]) if "twin_per_mm2" in arrays else None
         by_gain = _real(arrays["by_gain_per_mm2"][shot]) if "by_gain_per_mm2" in arrays else None
         by_offset = _real(arrays["by_offset"][shot]) if "by_offset" in arrays else None
-        yield Predicted(_real(image), next(columns), noise, twin, by_gain, by_offset)
+        by_pose = None
+        if "by_camera_per_mm2" in arrays:
+            by_pose = {path: _real(arrays["by_camera_per_mm2"][k, shot]) for k, path in enumerate(wanted.poses)}
+        yield Predicted(_real(image), next(columns), noise, twin, by_gain, by_offset, by_pose)
 
 
 def _told_apart(found: Mapping[int, Predicted], parts: Sequence[Sequence[int]]) -> dict[int, Predicted]:

@@ -98,6 +98,9 @@ class Prediction:
     """(camera column, shot, row, column): how the twin's images change with the camera, without the run's noise."""
     twin_per_mm2: Real
     """(shot, row, column): the twin's alone, without the anchor's Monte Carlo and its noise."""
+    images_by_camera_per_mm2: Real
+    """(camera column, shot, row, column): how the images themselves change with the camera, what the twin misses
+    moved, too: where the anchor is, with the run's noise and none of the twin's."""
 
     @property
     def error_per_mm2(self) -> Real:
@@ -173,9 +176,10 @@ class Anchor:
     ) -> Prediction:
         """The images of the same shots at other parameters, by the exits of the anchor's chips where they can be."""
         near = self.near(shots)
-        images, of_camera, twin = _views(near, supply, cameras, self._differences, report=report, **self._options)
+        seen = _views(near, supply, cameras, self._differences, report=report, **self._options)
+        images, twin, of_camera, of_images = seen
         share = _share_of(twin.sum(axis=(1, 2)), self._light)[:, None, None]
-        return Prediction(images, share * self._noise, of_camera, twin)
+        return Prediction(images, share * self._noise, of_camera, twin, of_images)
 
     def near(self, shots: Sequence[Shot]) -> list[Shot]:
         """The shots with the exits of the anchor's chips, where these can stand for theirs."""
@@ -266,7 +270,7 @@ def twin_views(
     report : called before each image, from several threads; what it raises ends the whole.
     options : `ModuleTwin`'s blocks and shadow_rays.
     """
-    images, of_camera, _ = _views(shots, supply, cameras, None, threads=threads, report=report, **options)
+    images, _, of_camera, _ = _views(shots, supply, cameras, None, threads=threads, report=report, **options)
     return images, of_camera
 
 
@@ -279,11 +283,13 @@ def _views(
     threads: int | None = None,
     report: Report = nothing,
     **options: int,
-) -> tuple[Real, Real, Real]:
-    """The same of maps with what the twin misses in them, where that is known; then the twin's own images."""
+) -> tuple[Real, Real, Real, Real]:
+    """Images of maps with what the twin misses in them, where that is known, and the twin's own; then how the twin's,
+    and how the former, change with the camera."""
     rows, columns = refuse_several_sizes(shots)
     images, twin = np.zeros((2, len(shots), rows, columns))
     of_camera = np.zeros((len(cameras), *images.shape))
+    of_images = of_camera if differences is None else np.zeros_like(of_camera)
 
     def see(number: int, light: LightMap) -> None:
         shot = shots[number]
@@ -291,13 +297,21 @@ def _views(
         if differences is not None:
             missing, before = differences[number].laid(light, Plate.of(shot.scene))
             share = _share_of(twin[number].sum(), shot.image(before).sum())
-            images[number] = shot.image(replace(light, irradiance_per_mm2=light.irradiance_per_mm2 + share * missing))
+            whole = replace(light, irradiance_per_mm2=light.irradiance_per_mm2 + share * missing)
+            images[number] = shot.image(whole)
+            for derivative, column in zip(of_images, cameras, strict=True):
+                derivative[number] = _by_camera(shot, whole, column)
         for derivative, column in zip(of_camera, cameras, strict=True):
-            up, down = (shot.image(light, column.move(shot.camera, s * column.step)) for s in (1.0, -1.0))
-            derivative[number] = (up - down) / (2.0 * column.step)
+            derivative[number] = _by_camera(shot, light, column)
 
     _lit(see, shots, supply, whole=False, threads=threads, report=report, **options)
-    return images, of_camera, twin
+    return images, twin, of_camera, of_images
+
+
+def _by_camera(shot: Shot, light: LightMap, column: CameraColumn) -> Real:
+    """How the image of a map changes with the camera."""
+    up, down = (shot.image(light, column.move(shot.camera, s * column.step)) for s in (1.0, -1.0))
+    return np.asarray((up - down) / (2.0 * column.step))
 
 
 def twin_maps(shots: Sequence[Shot], supply: Supply, **options: Any) -> list[LightMap]:
