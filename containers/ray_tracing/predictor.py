@@ -110,10 +110,10 @@ class Predictor:
         products, and `twin_per_mm2` (shot, row, column), the twin alone, whose noise has nothing in common with
         that, unless the anchor has the stored exits; where sensors bend signals `by_gain_per_mm2` and `by_offset`
         (shot, row, column), by which the twin's signal grows with the gain and with the offset; about a run
-        `by_camera_per_mm2` (camera column, shot, row, pixel column) in their order in `columns`: the jacobian
-        has of them the twin's, this is of the images, with the run's noise. Images are float64, for differences are
-        taken of them; the others are float32, which rounds 6e-8 of a value: the least noisy column of a scene has
-        1e-4, the noise knows itself to some percent.
+        `by_camera_per_mm2` (camera column, shot, row, pixel column), in their order in `columns`: how the images
+        change with the camera, with the run's noise, where the jacobian has how the twin's do. Images are float64,
+        for differences are taken of them; the others are float32, which rounds 6e-8 of a value: the least noisy
+        column of a scene has 1e-4, the noise knows itself to some percent.
         """
         columns, cameras = _columns(request)
         _refuse_too_much(request)
@@ -134,9 +134,9 @@ class Predictor:
                 arrays["noise_per_mm2"] = found.noise_per_mm2.astype(np.float32)
             arrays["twin_per_mm2"] = found.twin_per_mm2.astype(np.float32)
             of_camera = found.of_camera_per_mm2
-            known = [column.name for column in cameras]
-            if known and request.anchor.histories:
-                order = [known.index(name) for name in request.columns if name in known]
+            of_cameras = [column.name for column in cameras]
+            if of_cameras and request.anchor.histories:
+                order = [of_cameras.index(name) for name in request.columns if name in of_cameras]
                 arrays["by_camera_per_mm2"] = found.images_by_camera_per_mm2.astype(np.float32)[order]
         if request.columns:
             of_scene = jacobian(shots, columns, supply, report=steps.image, **job.options)

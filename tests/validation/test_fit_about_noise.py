@@ -152,8 +152,8 @@ class _Turned(Spots):
                 for column in [own.get("rotation_deg", 0.0)]
             ]
             jacobian = one.jacobian_per_mm2 | ({"rotation_deg": turns[0]} if own else {})
-            by_pose = own | {"rotation_deg": turns[1]} if own and anchor and anchor.histories else None
-            found.append(replace(one, jacobian_per_mm2=jacobian, by_pose_per_mm2=by_pose if self.by_pose else None))
+            by_pose = own | {"rotation_deg": turns[1]} if own and anchor and anchor.histories else {}
+            found.append(replace(one, jacobian_per_mm2=jacobian, by_pose_per_mm2=by_pose if self.by_pose else {}))
         return found
 
 

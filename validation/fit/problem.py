@@ -189,7 +189,7 @@ class Evaluation:
                 one,
                 twin_per_mm2=None,
                 by_gain_per_mm2=_by_gain_anchored(one),
-                jacobian_per_mm2=one.jacobian_per_mm2 | other.jacobian_per_mm2 | (one.by_pose_per_mm2 or {}),
+                jacobian_per_mm2=one.jacobian_per_mm2 | other.jacobian_per_mm2 | one.by_pose_per_mm2,
             )
             for one, other in zip(self.predicted, others, strict=True)
         ]

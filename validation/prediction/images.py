@@ -318,9 +318,8 @@ def _images(wanted: Wanted, answer: Answer) -> Iterator[Predicted]:
         twin = _real(arrays["twin_per_mm2"][shot]) if "twin_per_mm2" in arrays else None
         by_gain = _real(arrays["by_gain_per_mm2"][shot]) if "by_gain_per_mm2" in arrays else None
         by_offset = _real(arrays["by_offset"][shot]) if "by_offset" in arrays else None
-        by_pose = None
-        if "by_camera_per_mm2" in arrays:
-            by_pose = {path: _real(arrays["by_camera_per_mm2"][k, shot]) for k, path in enumerate(wanted.poses)}
+        by_camera = arrays.get("by_camera_per_mm2", ())
+        by_pose = {path: _real(one[shot]) for path, one in zip(wanted.poses, by_camera, strict=False)}
         yield Predicted(_real(image), next(columns), noise, twin, by_gain, by_offset, by_pose)
 
 

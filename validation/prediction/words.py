@@ -107,9 +107,9 @@ class Predicted:
     """(row, column), by which the signal grows with the gain, where a sensor bends it: else as the image has it."""
     by_offset: Real | None = None
     """(row, column), by which the signal grows with the offset, where a sensor bends it: else 1."""
-    by_pose_per_mm2: dict[str, Real] | None = None
+    by_pose_per_mm2: dict[str, Real] = field(default_factory=dict)
     """(row, column) by name of the pose's number, about an anchor: how the image itself changes, with the anchor's
-    noise where the jacobian has the twin's."""
+    noise where the jacobian has the twin's. Empty without one."""
     of_all_light: frozenset[str] = frozenset()
     """Paths whose derivatives are of what an anchor has over the twin, too."""
 

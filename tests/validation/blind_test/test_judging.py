@@ -20,6 +20,7 @@ from validation.blind_test.judging import KEPT, Judge, Shared, SharedDiagnosing,
 from validation.blind_test.records import read_record, record_path
 from validation.blind_test.seals import seal
 from validation.comparing import Solver
+from validation.diagnose.anew import about_itself
 from validation.diagnose.ground import Ground
 from validation.diagnosing import Diagnosing
 from validation.observed import Observed
@@ -135,7 +136,9 @@ def test_a_further_set_of_a_light_is_fitted_by_its_own_priors() -> None:
     assert abs(alone.value(SIGMA) - other.value(SIGMA)) > 0.5 * alone.error(SIGMA)
     for path in PATHS:
         assert abs(found.value(path) - alone.value(path)) < 0.1 * alone.error(path)
-    assert found.model.fit[SIGMA].prior_mean == 6.05
+    for each in (found, about_itself(found)):  # the latter where a fit has gone too far from the first one's anchor
+        assert each.model.fit[SIGMA].prior_mean == 6.05
+        assert {p.name: p.prior_mean for p in each.problem.unknowns.parameters}[SIGMA] == 6.05
     pulls = [one.residual_with_priors[len(one.residual)] for one in (alone, found, other)]  # from SIGMA's prior
     assert abs(pulls[1] - pulls[0]) < 0.1 < 0.5 < abs(pulls[2] - pulls[0])
 
