@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from validation.effects.known import Known
     from validation.prediction import Predictor
 
-OF_LIGHT = 8_000_000
+OF_LIGHT = 32_000_000
 """Walks inside a chip, for each sample of a truth (`validation.blind_test.making.HISTORIES`)."""
 
 Folder = Annotated[Path, typer.Argument(metavar="FOLDER", help="Folder of blind sets.")]

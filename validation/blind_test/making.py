@@ -59,9 +59,9 @@ from validation.diagnose.score import Projected
 from validation.effects.known import Known
 from validation.prediction import Predictor
 
-HISTORIES = 8_000_000
-"""Of walks inside a chip, for each sample, in two halves: of six images the noise of a half was 0.4 of the camera's
-in the worst block, so that of both is below 0.3 (`python -m benchmarks.blind_light`)."""
+HISTORIES = 32_000_000
+"""Of walks inside a chip, for each sample, in two halves. No laboratory's light has the noise that is left: along the
+effects that it is most like, 0.4 of their errors at a small camera (`python -m benchmarks.blind_noise`)."""
 MOST_SEED = 10**15
 
 

@@ -1,17 +1,18 @@
 """A truth before its camera: its light, how it is exposed, and what a hidden thing changes of it.
 
-The light is traced in two halves (`strength`). Amounts are looked for by a quarter of the histories, with the same
-random numbers with and without the hidden thing; the data are traced with all of them.
+The light is traced in two halves (`strength`), at the same time. Amounts are looked for by a sixteenth of the
+histories, with the same random numbers with and without the hidden thing; the data are traced with all of them.
 """
 
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,8 +37,9 @@ from validation.prediction import Predictor
 Real = NDArray[np.float64]
 Light = tuple[list[Real], list[Real]]
 """Of all samples, (row, column) in 1/mm^2, by two halves of the histories."""
+Found = TypeVar("Found")
 
-COARSER = 4
+COARSER = 16
 """How many times fewer histories find an amount."""
 
 
@@ -62,7 +64,7 @@ class Lights:
             return self.plain
         try:
             if "module" in places:
-                return self._traced(hidden, 0), self._traced(hidden, 1)
+                return _of_both(lambda half: self._traced(hidden, half))
             return self._seen(hidden, 0), self._seen(hidden, 1)
         except ValueError as error:
             raise InputError("--plan", self.truth.model.name, "what the blind model traces", str(error)) from None
@@ -86,19 +88,26 @@ class Lights:
         ]
 
     @cached_property
-    def _maps(self) -> list[list[Any]]:
+    def _maps(self) -> tuple[list[Any], list[Any]]:
         """The plain light on the receiver and its grid, of each sample, by halves."""
         from validation.blind.module import Tracer
 
-        tracers = [
-            Tracer(self.truth.surroundings, self.samples, {}, self.truth.seed + half, self._of_half)
-            for half in (0, 1)
-        ]
-        return [[tracer.light(sample) for sample in self.samples] for tracer in tracers]
+        def traced(half: int) -> list[Any]:
+            tracer = Tracer(self.truth.surroundings, self.samples, {}, self.truth.seed + half, self._of_half)
+            return [tracer.light(sample) for sample in self.samples]
+
+        return _of_both(traced)
 
     @property
     def _of_half(self) -> int:
         return -(-self.histories // 2)
+
+
+def _of_both(traced: Callable[[int], Found]) -> tuple[Found, Found]:
+    """Both halves, each on a core: kernels let go of the interpreter, and share nothing."""
+    with ThreadPoolExecutor(2) as threads:
+        first, second = threads.map(traced, (0, 1))
+    return first, second
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,7 +196,7 @@ class Scene:
             if kind.discrete or abs(sigma / asked - 1.0) <= TOLERANCE:
                 return hidden, light, halves
             ratio, most = asked / max(sigma, 0.1 * asked), (kind.most - kind.off) / (amount - kind.off)
-            # a quarter of the histories was not enough
+            # so few histories were not enough
             amount = kind.off + ratio * (amount - kind.off) if ratio < most else kind.most
         if hidden.amount == kind.most and sigma < asked:
             raise NotReached(name, sigma)
