@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from threading import Thread
 from typing import Any, TypeVar
 
 import numpy as np
@@ -64,7 +65,7 @@ class Lights:
             return self.plain
         try:
             if "module" in places:
-                return _of_both(lambda half: self._traced(hidden, half))
+                return of_both(lambda half: self._traced(hidden, half))
             return self._seen(hidden, 0), self._seen(hidden, 1)
         except ValueError as error:
             raise InputError("--plan", self.truth.model.name, "what the blind model traces", str(error)) from None
@@ -96,18 +97,29 @@ class Lights:
             tracer = Tracer(self.truth.surroundings, self.samples, {}, self.truth.seed + half, self._of_half)
             return [tracer.light(sample) for sample in self.samples]
 
-        return _of_both(traced)
+        return of_both(traced)
 
     @property
     def _of_half(self) -> int:
         return -(-self.histories // 2)
 
 
-def _of_both(traced: Callable[[int], Found]) -> tuple[Found, Found]:
-    """Both halves, each on a core: kernels let go of the interpreter, and share nothing."""
-    with ThreadPoolExecutor(2) as threads:
-        first, second = threads.map(traced, (0, 1))
-    return first, second
+def of_both(traced: Callable[[int], Found]) -> tuple[Found, Found]:
+    """Both halves, each on a core: kernels let go of the interpreter, and share nothing.
+
+    What was begun ends with the process, so Ctrl-C does not wait for it: a half takes minutes.
+    """
+    first, second = Future[Found](), Future[Found]()
+
+    def trace(half: int, found: Future[Found]) -> None:
+        try:
+            found.set_result(traced(half))
+        except BaseException as error:  # noqa: BLE001 - it is raised where the light is wanted
+            found.set_exception(error)
+
+    for half, found in enumerate((first, second)):
+        Thread(target=trace, args=(half, found), daemon=True).start()
+    return first.result(), second.result()
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import signal
+import subprocess
+import sys
+from threading import Barrier
 from typing import Any
 
 import numpy as np
@@ -11,7 +15,7 @@ from luxloop.errors import InputError
 from luxloop.model_file import find_model
 from tests.validation.blind_test.test_blind_command import HISTORIES, PIXELS, PLAN
 from validation import blind
-from validation.blind_test.scenes import Lights, Scene
+from validation.blind_test.scenes import Lights, Scene, of_both
 from validation.blind_test.strength import NotReached, sigma_of
 from validation.blind_test.truths import Truth, camera_of, sample_of, truth_of
 from validation.dataset.simulation_plan import Plan, read_plan
@@ -51,6 +55,43 @@ def test_maps_that_are_used_again_give_the_same_light(lights: Lights, kinds: tup
         )  # fmt: skip
         assert all(np.array_equal(one, other) for one, other in zip(images, traced, strict=True))
     assert not np.array_equal(found[0][0], found[1][0])
+
+
+INTERRUPTED = """
+from time import sleep
+from validation.blind_test.scenes import of_both
+
+def traced(half):
+    print("begun", flush=True)
+    sleep(600.0)
+
+of_both(traced)
+"""
+
+
+def test_halves_are_traced_at_the_same_time() -> None:
+    """Each waits for the other; what one cannot do is said."""
+    both = Barrier(2)
+
+    def traced(half: int) -> int:
+        both.wait(timeout=60.0)
+        return half
+
+    assert of_both(traced) == (0, 1)
+    with pytest.raises(ZeroDivisionError):
+        of_both(lambda half: 1 / (1 - half))
+
+
+def test_ctrl_c_does_not_wait_for_a_half() -> None:
+    """Which takes minutes; the process ends with both under way."""
+    with subprocess.Popen(
+        [sys.executable, "-c", INTERRUPTED], stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    ) as made:
+        assert made.stdout is not None
+        assert made.stdout.readline() == made.stdout.readline() == b"begun\n"
+        made.send_signal(signal.SIGINT)
+        _, said = made.communicate(timeout=60.0)
+    assert said.endswith(b"KeyboardInterrupt\n")
 
 
 def test_the_camera_changes_no_light(lights: Lights) -> None:
