@@ -1,6 +1,6 @@
 """The blind test's own forward model: time, noise, and agreement with the project's Monte Carlo.
 
-    python -m benchmarks.blind_light [--histories 8000000] [--monte-carlo 32000000] [--seed 1] [--dataset FOLDER]
+    python -m benchmarks.blind_light [--histories 32000000] [--monte-carlo 32000000] [--seed 1] [--dataset FOLDER]
 
 Six images of the paper's plan are computed twice, each time as the mean of two halves of the histories, which is what
 `luxloop blind make` does. Printed for each: CPU seconds; the noise of one of

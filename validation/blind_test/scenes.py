@@ -1,7 +1,8 @@
 """A truth before its camera: its light, how it is exposed, and what a hidden thing changes of it.
 
-The light is traced in two halves (`strength`), at the same time. Amounts are looked for by a sixteenth of the
-histories, with the same random numbers with and without the hidden thing; the data are traced with all of them.
+The light is traced in two halves (`strength`), at the same time. Amounts are looked for by a quarter of the
+histories, 2 million at most, with the same random numbers with and without the hidden thing; the data are traced with
+all of them.
 """
 
 from __future__ import annotations
@@ -40,8 +41,8 @@ Light = tuple[list[Real], list[Real]]
 """Of all samples, (row, column) in 1/mm^2, by two halves of the histories."""
 Found = TypeVar("Found")
 
-COARSER = 16
-"""How many times fewer histories find an amount."""
+COARSER, MOST_COARSE = 4, 2_000_000
+"""How many times fewer histories find an amount, and how many will do. Amounts of sets on record hang on both."""
 
 
 @dataclass(eq=False)
@@ -114,11 +115,15 @@ def of_both(traced: Callable[[int], Found]) -> tuple[Found, Found]:
     def trace(half: int, found: Future[Found]) -> None:
         try:
             found.set_result(traced(half))
-        except BaseException as error:  # noqa: BLE001 - it is raised where the light is wanted
+        except BaseException as error:  # noqa: BLE001  # raised where the light is waited for, else for ever
             found.set_exception(error)
 
-    for half, found in enumerate((first, second)):
-        Thread(target=trace, args=(half, found), daemon=True).start()
+    threads = [Thread(target=trace, args=one, daemon=True) for one in enumerate((first, second))]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        while thread.is_alive():  # a wait without an end would miss a signal that comes just before it
+            thread.join(1.0)
     return first.result(), second.result()
 
 
@@ -147,7 +152,7 @@ class Scene:
     @cached_property
     def coarse(self) -> Lights:
         """To look for amounts by."""
-        return self._lights(-(-self.histories // COARSER))
+        return self._lights(min(-(-self.histories // COARSER), MOST_COARSE))
 
     def _lights(self, histories: int) -> Lights:
         return Lights(self.truth, [sample_of(one) for one in self.plan.samples], self.camera, histories)

@@ -17,6 +17,7 @@ from tests.validation.test_loop import luxloop
 from validation import blind_command
 from validation.blind_test.folders import ANSWERS, SETS, model_of, read_index, write_whole
 from validation.blind_test.judging import chosen_model
+from validation.blind_test.making import HISTORIES as MANY
 from validation.blind_test.making import Asked, begin, make
 from validation.blind_test.truths import Counts
 from validation.dataset.folder import read_dataset, read_sums
@@ -103,6 +104,11 @@ def test_without_numba_truths_are_refused_before_anything_is_there(
         with pytest.raises(InputError, match=r"an installation with numba; pip install 'luxloop\[workers\]'"):
             command(tmp_path / "out")
     assert not (tmp_path / "out").exists()
+
+
+def test_the_command_asks_for_as_many_histories_as_make_does() -> None:
+    """Whose number stands twice, for the command's help must not import it."""
+    assert blind_command.OF_LIGHT == MANY
 
 
 def test_scores_of_two_folders_add_up(settings: Settings, tmp_path: Path) -> None:

@@ -57,6 +57,13 @@ def test_maps_that_are_used_again_give_the_same_light(lights: Lights, kinds: tup
     assert not np.array_equal(found[0][0], found[1][0])
 
 
+@pytest.mark.parametrize(("whole", "coarse"), [(400_000, 100_000), (8_000_000, 2_000_000), (32_000_000, 2_000_000)])
+def test_amounts_are_found_by_as_many_histories_as_ever(plan: Plan, truth: Truth, whole: int, coarse: int) -> None:
+    """Those of the fixed sets, of runs by 8 million and of runs since: with others their seeds give other images."""
+    nobody: Any = None
+    assert Scene(truth, plan, PIXELS, whole, 20.0, nobody, nobody).coarse.histories == coarse
+
+
 INTERRUPTED = """
 from time import sleep
 from validation.blind_test.scenes import of_both
@@ -90,7 +97,10 @@ def test_ctrl_c_does_not_wait_for_a_half() -> None:
         assert made.stdout is not None
         assert made.stdout.readline() == made.stdout.readline() == b"begun\n"
         made.send_signal(signal.SIGINT)
-        _, said = made.communicate(timeout=60.0)
+        try:
+            _, said = made.communicate(timeout=60.0)
+        finally:
+            made.kill()
     assert said.endswith(b"KeyboardInterrupt\n")
 
 
