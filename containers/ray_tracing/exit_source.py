@@ -21,13 +21,18 @@ from luxloop.words import sha256_of
 
 BATCH = 4
 """Blocks of a batch: 131,072 histories in 32 groups, about 3 MB where six of ten leave their chip."""
-MEMORY_BYTES = 256 << 20
+MEMORY_BYTES = 512 << 20
+"""Of sets in memory: one of 524,288 histories with notes has 30 to 50 MB, and a diagnosis takes columns with two of
+each chip."""
 FOLDER_BYTES = 4 << 30
 _ARRAYS = ("rays", "notes", "ends", "ledger")
 
 
 class ExitSource:
-    """Batches of exits by chip, exit seed and number; safe to ask from several threads."""
+    """Batches of exits by chip, exit seed and number; safe to ask from several threads.
+
+    What is in memory is handed out as it is: who knows something of a set, such as where its rays go, knows it again.
+    """
 
     def __init__(
         self,
@@ -52,29 +57,8 @@ class ExitSource:
 
         def batch_at(block: int) -> Exits:
             number = block // BATCH
-            key = sha256_of({"chip": chip, "seed": str(seed), "batch": number, "blocks": BATCH, "notes": notes})
-            with self._lock:
-                held = self._held.get(key)
-                if held is not None:
-                    self._held.move_to_end(key)
-                    return held
-            found = self._stored(key, number * BATCH)
-            if found is None:
-                found = make_exits(
-                    scene,
-                    seed,
-                    BATCH * BLOCK,
-                    first_block=number * BATCH,
-                    notes=notes,
-                    threads=self._threads,
-                    report=report,
-                )
-                self.made += 1
-                if self._store is not None:
-                    self._store.put(
-                        key, {name: getattr(found, name) for name in _ARRAYS}, {"first_block": number * BATCH}
-                    )
-            self._keep(key, found)
+            found = self._batch(scene, chip, seed, number, notes, report)
+            self._keep(_key_of(chip, seed, number, notes), found)
             return found
 
         return batch_at
@@ -97,11 +81,34 @@ class ExitSource:
             raise InputError("blocks", blocks, "at least 1")
         if first_block % BATCH:
             raise InputError("first_block", first_block, f"a multiple of {BATCH}")
-        batch_at, found, done = self.batches(scene, seed, notes=notes, report=report), list[Exits](), 0
-        while done < blocks:
-            found.append(batch_at(first_block + done))
-            done += found[-1].ledger.shape[1]
-        return joined(found, blocks)
+        chip, first = chip_key(scene), first_block // BATCH
+        key = _key_of(chip, seed, first, notes, blocks)
+        found = self._in_memory(key)
+        if found is None:
+            numbers = range(first, first - -blocks // BATCH)
+            found = joined([self._batch(scene, chip, seed, number, notes, report) for number in numbers], blocks)
+            self._keep(key, found)
+        return found
+
+    def _batch(
+        self, scene: Scene, chip: str, seed: int, number: int, notes: bool, report: Callable[[float], None] | None
+    ) -> Exits:
+        """A batch from memory, from the folder, or walked."""
+        key = _key_of(chip, seed, number, notes)
+        found = self._in_memory(key) or self._stored(key, number * BATCH)
+        if found is None:
+            first, how = number * BATCH, {"notes": notes, "threads": self._threads}
+            found = make_exits(scene, seed, BATCH * BLOCK, first_block=first, report=report, **how)
+            self.made += 1
+            if self._store is not None:
+                self._store.put(key, {name: getattr(found, name) for name in _ARRAYS}, {"first_block": first})
+        return found
+
+    def _in_memory(self, key: str) -> Exits | None:
+        with self._lock:
+            if key in self._held:
+                self._held.move_to_end(key)
+            return self._held.get(key)
 
     def _stored(self, key: str, first_block: int) -> Exits | None:
         arrays = self._store.get(key) if self._store is not None else None
@@ -114,8 +121,14 @@ class ExitSource:
         """In memory; what was used longest ago goes."""
         with self._lock:
             self._held[key] = exits
+            self._held.move_to_end(key)
             while sum(e.nbytes for e in self._held.values()) > self._memory_bytes and len(self._held) > 1:
                 self._held.popitem(last=False)
+
+
+def _key_of(chip: str, seed: int, number: int, notes: bool, blocks: int = BATCH) -> str:
+    """Of so many blocks from a batch on."""
+    return sha256_of({"chip": chip, "seed": str(seed), "batch": number, "blocks": blocks, "notes": notes})
 
 
 def joined(batches: Sequence[Exits], blocks: int) -> Exits:
