@@ -97,8 +97,10 @@ class ExitSource:
         key = _key_of(chip, seed, number, notes)
         found = self._in_memory(key) or self._stored(key, number * BATCH)
         if found is None:
-            first, how = number * BATCH, {"notes": notes, "threads": self._threads}
-            found = make_exits(scene, seed, BATCH * BLOCK, first_block=first, report=report, **how)
+            first, how_many = number * BATCH, BATCH * BLOCK
+            found = make_exits(
+                scene, seed, how_many, first_block=first, notes=notes, threads=self._threads, report=report
+            )
             self.made += 1
             if self._store is not None:
                 self._store.put(key, {name: getattr(found, name) for name in _ARRAYS}, {"first_block": first})
