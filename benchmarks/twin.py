@@ -1,6 +1,6 @@
 """The deterministic twin beside Monte Carlo: four designs, random designs, a finite module, derivatives, images.
 
-    python benchmarks/twin.py [designs] [random] [module] [derivatives] [images] [ways] [mirror]
+    python benchmarks/twin.py [designs] [random] [module] [derivatives] [images] [ways] [again] [mirror]
 
 Each table says how the twin differs from long Monte Carlo runs and how well those are known. Exits are either
 independent of each other, then both errors count, or the same in both, then what happens after the chip is compared
@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from containers.bsdf import Lambertian, Mirror
 from containers.ray_tracing.arrays import EmissionArrays
 from containers.ray_tracing.build import cell_of, scene_of
+from containers.ray_tracing.exit_source import ExitSource
 from containers.ray_tracing.exits import Exits, Landing, make_exits
 from containers.ray_tracing.field import CellField, ModuleField
 from containers.ray_tracing.monte_carlo import BLOCK
@@ -32,14 +33,17 @@ from containers.ray_tracing.twin.prediction import Shot, jacobian, twin_images
 from containers.ray_tracing.twin.supply import Supply
 from containers.ray_tracing.twin.ways import Ways
 from containers.ray_tracing.uniformity import cell_region, uniformity
+from containers.ray_tracing.worker import RayComputation
 from containers.scene import Array, Cell, Emission, Receiver, Scene
 from containers.stack import dbr_of
 from containers.thin_film.table import film_table
 from luxloop.camera import Camera
+from luxloop.computation import Progress
 from luxloop.design import Bounds, Design
 from luxloop.film import Spectrum
 from luxloop.model import Environment
 from luxloop.model_file import find_model
+from luxloop.ray import ChipArray, PredictionRequest, ShotRequest
 
 Real = NDArray[np.float64]
 DESIGNS = {
@@ -49,6 +53,8 @@ DESIGNS = {
     "S_b2, 5.5": (160.0, 20.0, 460.0, 15.0, 5.5),
 }
 MODELS = "clear_chip", "paper"
+AGAIN = 0.3, 0.31, 0.32, 0.33, 0.34
+"""Reflectances of the receiver, one after the other."""
 
 
 def scene_at(environment: Environment, design: Design) -> Scene:
@@ -246,6 +252,31 @@ def landed(way: Way, emission: EmissionArrays, exits: Exits, known: Ways | None)
     return found, 1e3 * (process_time() - begun)
 
 
+def again() -> None:
+    """What a diagnosis asks for again and again: other reflectances of the receiver, the same chips and ways."""
+    print("a request of a single chip and 5 x 5, two designs, asked again with another receiver, s of CPU, median of 5")
+    environment, wanted = find_model("paper").environment, {"rows": 42, "columns": 42, "pixel_um": 24.0}
+    designs = [Design.from_vector((180.0, 40.0, 400.0, thickness, 0.0)) for thickness in (20.0, 40.0)]
+    for histories in (131_072, 262_144, 524_288):
+        worker = RayComputation(lambda *_: b"", ExitSource())
+
+        def took(reflectance: float, worker: RayComputation = worker, histories: int = histories) -> float:
+            receiver = environment.receiver.model_copy(update={"reflectance": reflectance})
+            lit = environment.model_copy(update={"receiver": receiver})
+            shots = [
+                ShotRequest(environment=lit, design=one, array=ChipArray(rows=n, columns=n), camera=Camera(**wanted))
+                for one in designs
+                for n in (1, 5)
+            ]
+            inputs = PredictionRequest(shots=tuple(shots), exit_histories=histories).model_dump(mode="json")
+            begun = process_time()
+            worker.compute(inputs, Progress())
+            return process_time() - begun
+
+        first = took(0.35)
+        print(f"  {histories:7d} histories: first {first:5.2f}, again {np.median([took(r) for r in AGAIN]):5.2f}")
+
+
 def mirror() -> None:
     """Case A: light from the chip's top over three substrates, the closed form alone, and with the chips."""
     scene = scene_at(find_model("clear_chip").environment, Design.from_vector(DESIGNS["S_b3, none"]))
@@ -273,6 +304,7 @@ SECTIONS = {
     "derivatives": derivatives,
     "images": images,
     "ways": ways,
+    "again": again,
     "mirror": mirror,
 }
 

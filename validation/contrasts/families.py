@@ -6,8 +6,8 @@
               is the same place
     power     of the map of cells of an image, in rings of spatial frequency
 
-Everything is made of cells, so a residual, measured or drawn, is needed by its cells only. A single pixel has no
-vote: a wrong read noise would speak there first.
+All of these are made of cells, so a residual, measured or drawn, is needed by its cells only. A single pixel has no
+vote, for a wrong read noise would speak there first, but in what repeats from pixel to pixel (`periodic`).
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft, sparse
 
+from validation.contrasts.periodic import Pattern, patterns_of
 from validation.contrasts.places import Picture, from_nearest_um
 
 Real = NDArray[np.float64]
@@ -77,6 +78,8 @@ class Layout:
     sums: sparse.csr_array  # (sum, cell)
     groups: tuple[Group, ...]
     spectra: tuple[Spectrum, ...]
+    patterns: tuple[Pattern, ...] = ()
+    """Of single pixels, which these contrasts know nothing of."""
 
     @cached_property
     def members(self) -> tuple[tuple[str, str | None], ...]:
@@ -163,7 +166,7 @@ def layout_of(pictures: Sequence[Picture], curves: Sequence[tuple[str, Real, str
     sums, more = _collect(further, cells.shape[0], cells.shape[0])
     spectra = tuple(_spectrum(one, group) for one, group in of_pictures)
     shots = tuple([one.id for one in pictures] + [name for name, *_ in curves])
-    return Layout(shots, cells, sums, (*groups, *more), spectra)
+    return Layout(shots, cells, sums, (*groups, *more), spectra, patterns_of(pictures))
 
 
 def _of_picture(one: Picture, cells: Group) -> Iterable[_Labelled]:

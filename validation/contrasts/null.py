@@ -29,6 +29,7 @@ Real = NDArray[np.float64]
 Single = NDArray[np.float32]
 
 BATCH = 128  # draws at once
+PATTERNS = 1  # beside the seed: of the numbers that are drawn for fine patterns
 VANISHED = 1e-6  # share of a contrast's variance below which the fit has taken it all
 
 
@@ -75,9 +76,14 @@ class Null:
 
     @cached_property
     def largest(self) -> Real:
-        """The statistic of each draw: its largest standardised family, or single place."""
+        """The statistic of each draw: its largest standardised family, single place, or fine pattern.
+
+        Of a fine pattern z is a normal number by its own chance, so that is what is drawn of it.
+        """
         families = self.of_families.z(self.layout.family_sums @ self.energies).max(axis=0)
-        return np.asarray(np.maximum(families, self.peak_z(self.peaks).max(axis=0)))
+        random = np.random.Generator(np.random.SFC64((self.seed, PATTERNS)))
+        patterns = random.standard_normal((len(self.layout.patterns), self.draws)).max(axis=0, initial=-np.inf)
+        return np.asarray(np.maximum.reduce([families, self.peak_z(self.peaks).max(axis=0), patterns]))
 
     def largest_in(self, shot: str, rows: list[int]) -> Real:
         """The same over one shot, whose groups are `rows`."""

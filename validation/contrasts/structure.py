@@ -1,10 +1,9 @@
 """The verdict on what a fit has left: is it more than noise, and where.
 
-The statistic is the largest standardised family, or single place; its p-value is counted among draws that went
-through the same fit, so it pays for all families and places, for the refit, for the priors and for the variance
-scale. A region's own z does not pay for the many regions there are; `chance` does, within its family. The variance
-scale is one for all shots, held to what its prior allows: free, one image at ten times its noise would hide the
-faults of others.
+The statistic is the largest standardised family, single place or fine pattern; its p-value is counted among draws
+that went through the same fit, so it pays for all of these, for the refit, for the priors and for the variance scale.
+A region's own z does not pay for the many regions there are; `chance` does, within its family. The variance scale is
+one for all shots, held to what its prior allows: free, one image at ten times its noise would hide others' faults.
 """
 
 from __future__ import annotations
@@ -20,6 +19,7 @@ from scipy.special import log_ndtr, ndtri  # scipy.stats takes a second to impor
 
 from validation.contrasts.families import CELLS, Layout, layout_of
 from validation.contrasts.null import Null, Variances, null
+from validation.contrasts.periodic import PERIODIC, Wave
 from validation.contrasts.places import picture
 from validation.fit.whitening import grids_of, held_scale
 
@@ -88,7 +88,7 @@ class Structure:
     p: float
     p_text: str  # "< 1/10000" where no draw was as large
     z: float  # normal equivalent of p; a lower limit where no draw was as large
-    statistic: float  # the largest standardised family, or single place
+    statistic: float  # the largest standardised family, single place, or fine pattern
     families: tuple[FamilyFound, ...]  # the largest first
     shots: dict[str, ShotFound]
     where: tuple[Region, ...]  # the least likely first
@@ -128,9 +128,10 @@ def judged(residual: Real, layout: Layout, projection: Basis, variances: Varianc
         np.asarray(part / scale, np.float64) for part in layout.energies_and_peaks(cells, variances.weight)
     )
     local_z = np.asarray(layout.contrasts(cells)[:, 0] * np.sqrt(variances.weight / scale), np.float64)
-    regions = _regions(layout, local_z, energies, drawn)
+    waves = [pattern.loudest(residual) for pattern in layout.patterns]
+    regions = _regions(layout, local_z, energies, waves, drawn)
     families = _families(layout, energies, drawn)
-    largest = max(families[0].z, float(drawn.peak_z(peaks).max()))
+    largest = max(families[0].z, float(drawn.peak_z(peaks).max()), *(wave.z for wave in waves))
     p, p_text = counted_p(drawn.largest, largest)
     return Structure(
         p=p,
@@ -191,8 +192,8 @@ def _families(layout: Layout, energies: Real, drawn: Null) -> tuple[FamilyFound,
     return tuple(sorted(found, key=lambda family: -family.z))
 
 
-def _regions(layout: Layout, local_z: Real, energies: Real, drawn: Null) -> list[Region]:
-    """The worst region of each family in each shot, the least likely first; a frequency band is a region too."""
+def _regions(layout: Layout, local_z: Real, energies: Real, waves: Sequence[Wave], drawn: Null) -> list[Region]:
+    """The worst region of each family in each shot, the least likely first; a frequency band, or wave, is one too."""
     found = []
     for group in layout.groups:
         part = local_z[group.rows]
@@ -202,6 +203,7 @@ def _regions(layout: Layout, local_z: Real, energies: Real, drawn: Null) -> list
     z = drawn.of_groups.z(energies)[:, 0]
     for (family, shot), value in list(zip(layout.members, z, strict=True))[len(layout.groups) :]:
         found.append(Region("spatial frequency", shot, family, float(value), float(log_ndtr(-value))))
+    found += [Region(PERIODIC, None, wave.words, wave.z, float(log_ndtr(-wave.z))) for wave in waves]
     return sorted(found, key=lambda region: region.log_chance)
 
 

@@ -1,0 +1,129 @@
+"""What repeats too finely for blocks of pixels: an embossed texture, prisms, a moire of theirs with the camera.
+
+Blocks of 2 x 2 pixels take most of it away, and in their spectra it is one line among many. Here single pixels are
+looked at, frequency by frequency beyond the blocks' own, their power summed over the images of one grid: what moves
+with the module keeps its frequency. An image's power is held against its own mean in a ring of frequencies, so a
+wrong read noise, which raises all of them, has no vote. Of noise each sum then follows a gamma distribution whose
+shape is the number of images, and nothing need be drawn. What blocks see of such frequencies they see as well, so p
+pays a little twice.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+from scipy.special import gammaln, logsumexp, ndtri_exp  # scipy.stats takes a second to import
+
+from validation.contrasts.places import Picture
+
+Real = NDArray[np.float64]
+Whole = NDArray[np.intp]
+
+PERIODIC = "fine pattern"
+COARSEST = 0.25
+"""Cycles per pixel along an axis, from which on blocks of 2 x 2 pixels take frequencies for others."""
+RINGS = np.array([0.25, 0.35, 0.45, 0.55, 0.75])
+"""Their edges, in cycles per pixel."""
+LEAST = 24
+"""Frequencies of a ring whose mean may stand for its noise; smaller ones are left out."""
+
+
+@dataclass(frozen=True)
+class Wave:
+    """The frequency that stands out most, in the images of one grid."""
+
+    length_um: float
+    direction_deg: float
+    """In which it repeats, from x towards y, -90 to 90."""
+    z: float
+    """Normal equivalent of the chance that noise has as large a one among all frequencies."""
+
+    @property
+    def words(self) -> str:
+        """For people."""
+        return f"waves {self.length_um:.3g} um long, which repeat along {self.direction_deg:.0f} deg"
+
+
+@dataclass(frozen=True, eq=False)
+class Pattern:
+    """The fine frequencies of the images of one grid."""
+
+    shape: tuple[int, int]
+    pixel_um: float
+    rows: tuple[slice, ...]
+    """Of each image among all rows of a residual."""
+    places: tuple[Whole, ...]
+    """Of these in the image, row by row."""
+
+    @cached_property
+    def frequencies(self) -> tuple[Real, Real]:
+        """Cycles per pixel along rows (y), and along columns (x), of the half of a plane that tells all."""
+        fy, fx = np.fft.fftfreq(self.shape[0]), np.fft.rfftfreq(self.shape[1])
+        return np.asarray(fy, float)[:, None], np.asarray(fx, float)[None, :]
+
+    @cached_property
+    def rings(self) -> Whole:
+        """(y, x): the ring of each frequency that votes, 0 for all others: coarse ones, and mirrored or real ones."""
+        fy, fx = self.frequencies
+        once = (fx > 0.0) & (fx < 0.5) | (fy > 0.0) & (fy < 0.5)
+        fine = once & (np.maximum(np.abs(fy), fx) > COARSEST)
+        ring = np.where(fine, np.digitize(np.hypot(fy, fx), RINGS), 0)
+        return np.where(np.bincount(ring.ravel())[ring] < LEAST, 0, ring)
+
+    def power(self, residual: Real) -> Real:
+        """(y, x): of a whitened residual, summed over the images, 1 of each image where there is only noise."""
+        total, ring = np.zeros(self.rings.shape), self.rings
+        for rows, places in zip(self.rows, self.places, strict=True):
+            image = np.zeros(self.shape)
+            image.flat[places] = residual[rows]
+            waves = fft.rfft2(image)
+            power = waves.real**2 + waves.imag**2
+            mean = np.bincount(ring.ravel(), power.ravel()) / np.maximum(np.bincount(ring.ravel()), 1)
+            total += np.divide(power, mean[ring], out=np.zeros_like(power), where=mean[ring] > 0.0)
+        return np.where(ring > 0, total, 0.0)
+
+    def loudest(self, residual: Real) -> Wave:
+        """The frequency with the largest power. ValueError where none votes."""
+        power = self.power(residual)
+        at = np.unravel_index(int(np.argmax(power)), power.shape)
+        fy, fx = (float(np.broadcast_to(one, power.shape)[at]) for one in self.frequencies)
+        direction = float(np.degrees(np.arctan2(fy, fx)))
+        chance = _log_chance(float(power[at]), len(self.rows), int(np.count_nonzero(self.rings)))
+        z = float(-ndtri_exp(chance))
+        return Wave(self.pixel_um / float(np.hypot(fy, fx)), direction, z)
+
+
+def _log_chance(power: float, images: int, frequencies: int) -> float:
+    """Natural logarithm of the chance that of so many sums over images of unit exponentials one is as large."""
+    if power <= 0.0:
+        return -1e-300
+    steps = np.arange(images)
+    one = float(logsumexp(steps * np.log(power) - gammaln(steps + 1.0)) - power)
+    expected = min(np.log(frequencies) + one, 20.0)
+    return float(expected if expected < -20.0 else min(np.log(-np.expm1(-np.exp(expected))), -1e-300))
+
+
+def patterns_of(pictures: Sequence[Picture]) -> tuple[Pattern, ...]:
+    """Those of images, which lie one behind the other in a residual; grids whose images are too small have none."""
+    alike: dict[int, list[tuple[Picture, slice]]] = {}
+    start = 0
+    for one in pictures:
+        count = int(np.count_nonzero(one.used))
+        if count:
+            alike.setdefault(one.grid, []).append((one, slice(start, start + count)))
+        start += count
+    found = [
+        Pattern(
+            shape=together[0][0].used.shape,
+            pixel_um=together[0][0].pixel_um,
+            rows=tuple(rows for _, rows in together),
+            places=tuple(np.flatnonzero(one.used) for one, _ in together),
+        )
+        for together in alike.values()
+    ]
+    return tuple(one for one in found if one.rings.any())
