@@ -254,7 +254,7 @@ def landed(way: Way, emission: EmissionArrays, exits: Exits, known: Ways | None)
 
 def again() -> None:
     """What a diagnosis asks for again and again: other reflectances of the receiver, the same chips and ways."""
-    print("a request of a single chip and 5 x 5, two designs, asked again with another receiver, s of CPU, median of 5")
+    print("a request of a single chip and 5 x 5, two designs, again with another receiver; CPU s, median of 5")
     environment, wanted = find_model("paper").environment, {"rows": 42, "columns": 42, "pixel_um": 24.0}
     designs = [Design.from_vector((180.0, 40.0, 400.0, thickness, 0.0)) for thickness in (20.0, 40.0)]
     for histories in (131_072, 262_144, 524_288):
