@@ -88,7 +88,7 @@ class Pattern:
         return np.where(ring > 0, total, 0.0)
 
     def loudest(self, residual: Real) -> Wave:
-        """The frequency with the largest power. ValueError where none votes."""
+        """The frequency with the largest power."""
         power = self.power(residual)
         at = np.unravel_index(int(np.argmax(power)), power.shape)
         fy, fx = (float(np.broadcast_to(one, power.shape)[at]) for one in self.frequencies)
