@@ -62,6 +62,9 @@ def test_power_is_one_of_each_image_and_where_blocks_see_none() -> None:
     for ring in range(1, of.rings.max() + 1):
         assert power[of.rings == ring].mean() == pytest.approx(3.0, rel=1e-12)
     np.testing.assert_allclose(of.power(7.0 * residual), power, rtol=1e-12)
+    many = [of.power(np.random.default_rng(seed).standard_normal(rows)) for seed in range(300)]
+    mean = np.mean(many, axis=0)[of.rings > 0]
+    assert np.abs(mean - 3.0).max() < 5.0 * np.sqrt(3.0 / 300)  # whatever blocks leave of each
     fy, fx = of.frequencies
     assert not power[np.broadcast_to(np.maximum(np.abs(fy), fx) <= COARSEST, power.shape)].any()
     votes = list(zip(*np.nonzero(of.rings), strict=True))
@@ -78,10 +81,31 @@ def test_a_wave_is_named_by_its_length_and_direction(length_um: float, degrees: 
     waves = [np.cos(along[0] * one.x_um + along[1] * one.y_um + random.uniform(0.0, 6.0)) for one in several]
     wave = np.concatenate([one.ravel() for one in waves])
     found = of.loudest(random.standard_normal(rows) + np.sqrt(200.0 / (wave @ wave)) * wave)
-    assert found.z > 6.0
+    assert found.z > 5.0
     assert found.length_um == pytest.approx(length_um, rel=0.04)
     assert abs((found.direction_deg - degrees + 90.0) % 180.0 - 90.0) < 3.0
     assert f"{found.length_um:.3g} um long" in found.words
+
+
+@pytest.mark.parametrize("level", [0.0, 1e-6, 0.01])
+def test_rounding_and_what_the_model_errs_by_have_no_vote(level: float) -> None:
+    """A residual of next to nothing, or of nothing, is no pattern, however regular."""
+    of, rows = pattern(3)
+    x = np.concatenate([one.x_um.ravel() for one in pictures(3)])
+    assert of.loudest(level * np.cos(2.0 * np.pi / 60.0 * x)).z < 1.0
+    assert of.loudest(np.full(rows, level)).z < 0.0
+
+
+@pytest.mark.parametrize("seed", [None, 5])
+def test_what_blocks_see_is_no_fine_pattern(seed: int | None) -> None:
+    """Steps, slopes and a level of several standard deviations, pixels unused or not: z is as of the noise alone."""
+    several, (of, rows) = pictures(3, seed=seed), pattern(3, seed)
+    noise = np.random.default_rng(4).standard_normal(rows)
+    alone = of.loudest(noise).z
+    y = np.concatenate([one.y_um[one.used] for one in several])
+    slope = 6.0 * (y / y.max() - 0.5)
+    assert of.loudest(noise + slope).z < max(alone, 0.0) + 1.0
+    assert of.loudest(noise + 3.0).z == pytest.approx(alone, abs=1e-6)
 
 
 def test_each_grid_has_its_own_and_small_images_have_none() -> None:

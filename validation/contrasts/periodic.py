@@ -1,11 +1,13 @@
 """What repeats too finely for blocks of pixels: an embossed texture, prisms, a moire of theirs with the camera.
 
-Blocks of 2 x 2 pixels take most of it away, and in their spectra it is one line among many. Here single pixels are
-looked at, frequency by frequency beyond the blocks' own, their power summed over the images of one grid: what moves
-with the module keeps its frequency. An image's power is held against its own mean in a ring of frequencies, so a
-wrong read noise, which raises all of them, has no vote. Of noise each sum then follows a gamma distribution whose
-shape is the number of images, and nothing need be drawn. What blocks see of such frequencies they see as well, so p
-pays a little twice.
+    inside    an image less the mean of each block of 2 x 2 pixels: what the blocks know nothing of
+    power     of its waves beyond the blocks' own frequencies, over the share of white noise that is left there,
+              summed over the images of one grid: what moves with the module keeps its frequency, but for a turn
+
+Blocks take such waves away for the most part, and in their spectra they are one line among many. An image's power is
+held against its own mean in a ring of frequencies, so a wrong read noise, which raises all of them, has no vote;
+neighbours whose noise is one, as in a demosaiced image, do. Of noise each sum then follows a gamma distribution whose
+shape is the number of images, whatever is inside of the blocks' means, and nothing need be drawn.
 """
 
 from __future__ import annotations
@@ -29,6 +31,10 @@ COARSEST = 0.25
 """Cycles per pixel along an axis, from which on blocks of 2 x 2 pixels take frequencies for others."""
 RINGS = np.array([0.25, 0.35, 0.45, 0.55, 0.75])
 """Their edges, in cycles per pixel."""
+SIDE = 2
+"""Pixels of a block."""
+QUIET = 0.5
+"""Of what white noise has: a ring's mean counts at least that, or rounding would speak where there is no noise."""
 LEAST = 24
 """Frequencies of a ring whose mean may stand for its noise; smaller ones are left out."""
 
@@ -39,14 +45,14 @@ class Wave:
 
     length_um: float
     direction_deg: float
-    """In which it repeats, from x towards y, -90 to 90."""
+    """In which it repeats on the camera, from its columns (x) towards its rows (y), -90 to 90."""
     z: float
     """Normal equivalent of the chance that noise has as large a one among all frequencies."""
 
     @property
     def words(self) -> str:
         """For people."""
-        return f"waves {self.length_um:.3g} um long, which repeat along {self.direction_deg:.0f} deg"
+        return f"waves {self.length_um:.3g} um long, which repeat along {self.direction_deg:.0f} deg of the camera"
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,27 +81,43 @@ class Pattern:
         ring = np.where(fine, np.digitize(np.hypot(fy, fx), RINGS), 0)
         return np.where(np.bincount(ring.ravel())[ring] < LEAST, 0, ring)
 
+    @cached_property
+    def share(self) -> Real:
+        """(y, x): of the power of white noise, what varies inside of blocks."""
+        fy, fx = self.frequencies
+        return np.asarray(1.0 - (np.cos(np.pi * fy) * np.cos(np.pi * fx)) ** 2)
+
     def power(self, residual: Real) -> Real:
         """(y, x): of a whitened residual, summed over the images, 1 of each image where there is only noise."""
         total, ring = np.zeros(self.rings.shape), self.rings
+        votes = ring > 0
         for rows, places in zip(self.rows, self.places, strict=True):
-            image = np.zeros(self.shape)
-            image.flat[places] = residual[rows]
-            waves = fft.rfft2(image)
-            power = waves.real**2 + waves.imag**2
+            waves = fft.rfft2(_inside(residual[rows], places, self.shape))
+            power = np.divide(waves.real**2 + waves.imag**2, self.share, out=np.zeros(votes.shape), where=votes)
             mean = np.bincount(ring.ravel(), power.ravel()) / np.maximum(np.bincount(ring.ravel()), 1)
-            total += np.divide(power, mean[ring], out=np.zeros_like(power), where=mean[ring] > 0.0)
-        return np.where(ring > 0, total, 0.0)
+            total += power / np.maximum(mean, QUIET * len(places))[ring]
+        return total
 
     def loudest(self, residual: Real) -> Wave:
         """The frequency with the largest power."""
         power = self.power(residual)
-        at = np.unravel_index(int(np.argmax(power)), power.shape)
+        at = np.unravel_index(int(np.argmax(np.where(self.rings > 0, power, -1.0))), power.shape)
         fy, fx = (float(np.broadcast_to(one, power.shape)[at]) for one in self.frequencies)
         direction = float(np.degrees(np.arctan2(fy, fx)))
         chance = _log_chance(float(power[at]), len(self.rows), int(np.count_nonzero(self.rings)))
         z = float(-ndtri_exp(chance))
         return Wave(self.pixel_um / float(np.hypot(fy, fx)), direction, z)
+
+
+def _inside(values: Real, places: Whole, shape: tuple[int, int]) -> Real:
+    """The image of these values at its used places, less the mean of each block; 0 at the others."""
+    rows, columns = shape
+    wide = -(-columns // SIDE)
+    block = places // columns // SIDE * wide + places % columns // SIDE
+    mean = np.bincount(block, values) / np.maximum(np.bincount(block), 1)
+    image = np.zeros((rows, columns))
+    image.flat[places] = values - mean[block]
+    return image
 
 
 def _log_chance(power: float, images: int, frequencies: int) -> float:
