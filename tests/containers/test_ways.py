@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from containers.bsdf import GaussianLobe, Lambertian, Mirror, Mixture
+from containers.ray_tracing.exit_source import BATCH
 from containers.ray_tracing.exits import Births, Exits, make_exits
 from containers.ray_tracing.monte_carlo import BLOCK
 from containers.ray_tracing.packing import emission_arrays
-from containers.ray_tracing.tally import Box
+from containers.ray_tracing.tally import GROUPS, Box
+from containers.ray_tracing.twin import ways as ways_module
 from containers.ray_tracing.twin.direct import direct_light, open_way
 from containers.ray_tracing.twin.module import Lights, ModuleTwin
 from containers.ray_tracing.twin.ways import Ways
 from containers.scene import Array, Cell, Face, Receiver, Scene
+from tests.containers.test_predictor import ask, request, shot, worker
 from tests.ray_scenes import scene
 
 SIGMA = np.radians(5.0)
@@ -82,3 +86,20 @@ def test_direct_light_is_the_same_by_any_way(dim: tuple[Scene, Exits], wall: Mir
         found, alone = (direct_light(along, emission, its, 1, known=by, **how).bins for by in (known, None))
         np.testing.assert_array_equal(found, alone)
     assert len(known) == 5
+
+
+@pytest.mark.parametrize("batches", [1, 2])
+def test_a_request_with_another_receiver_walks_no_way_again(batches: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """However many batches of exits it is of: what a worker knows of a set, it knows in the next request, too."""
+    of, walk, walked = worker(), ways_module.walk_ways, []
+
+    def counted(*args: Any) -> None:
+        walked.append(len(args))
+        walk(*args)
+
+    monkeypatch.setattr(ways_module, "walk_ways", counted)
+    histories = batches * BATCH * BLOCK * GROUPS
+    for reflectance in (0.35, 0.30):
+        receiver = {"scatter": "lambertian", "reflectance": reflectance}
+        ask(request(shot(environment__receiver=receiver), exit_histories=histories), of)
+        assert len(walked) == GROUPS

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy import stats
 
 from tests.validation.test_contrasts_structure import DRAWS, _found, _images, _sd, _with
@@ -15,7 +14,6 @@ from validation.contrasts.places import Picture, module_coordinates_um
 from validation.prediction import Pose
 
 SHAPE, PIXEL_UM = (42, 40), 24.0
-Real = NDArray[np.float64]
 
 
 def pictures(count: int, shape: tuple[int, int] = SHAPE, seed: int | None = None) -> list[Picture]:

@@ -21,13 +21,12 @@ from numpy.typing import NDArray
 from scipy import fft, sparse
 
 from validation.contrasts.periodic import Pattern, patterns_of
-from validation.contrasts.places import Picture, from_nearest_um
+from validation.contrasts.places import CELL, Picture, from_nearest_um
 
 Real = NDArray[np.float64]
 Whole = NDArray[np.intp]
 Array = NDArray[np.floating]
 
-CELL = 2  # pixels: the side of the smallest block that votes
 BLOCKS = (2, 4, 8, 16)
 CELLS, CHIP_RINGS, AZIMUTH, FIELD = "blocks of 2", "distance from the chip", "azimuth", "field radius"
 ROWS, COLUMNS = "rows of the camera", "columns of the camera"

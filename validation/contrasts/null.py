@@ -19,8 +19,9 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import log_ndtr, ndtri_exp  # scipy.stats takes a second to import
+from scipy.special import log_ndtr  # scipy.stats takes a second to import
 
+from validation.contrasts.chance import normal_equivalent
 from validation.contrasts.families import Layout
 from validation.fit.least_squares import Basis
 from validation.fit.whitening import HELD_SD, SCALE_PRIOR_SD, held_scales
@@ -95,7 +96,7 @@ class Null:
         """Standardised peaks (place, draw): normal equivalents of the chance that one of so many is as large."""
         count = np.array(list(self.layout.places.values()), float)[:, None]
         log_expected = np.log(2.0 * count) + log_ndtr(-np.sqrt(np.asarray(peaks, float)))
-        return np.asarray(-ndtri_exp(np.where(log_expected < -20.0, log_expected, _log_some(log_expected))))
+        return normal_equivalent(log_expected)
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,11 +120,6 @@ class Standard:
         """Standardised energies (energy, draw)."""
         spread = 2.0 / (9.0 * self.freedom[:, None])
         return np.asarray((np.cbrt(energies / self.mean[:, None]) - (1.0 - spread)) / np.sqrt(spread))
-
-
-def _log_some(log_expected: Real) -> Real:
-    """Logarithm of the chance of one or more where so many are expected (Poisson); always below 0."""
-    return np.minimum(np.log(-np.expm1(-np.exp(np.maximum(log_expected, -20.0)))), -1e-300)
 
 
 _REMEMBERED: dict[str, Single] = {}

@@ -19,22 +19,23 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
-from scipy.special import gammaln, logsumexp, ndtri_exp  # scipy.stats takes a second to import
+from scipy.special import gammaln, logsumexp  # scipy.stats takes a second to import
 
-from validation.contrasts.places import Picture
+from validation.contrasts.chance import normal_equivalent
+from validation.contrasts.places import CELL, Picture
 
 Real = NDArray[np.float64]
 Whole = NDArray[np.intp]
 
 PERIODIC = "fine pattern"
-COARSEST = 0.25
-"""Cycles per pixel along an axis, from which on blocks of 2 x 2 pixels take frequencies for others."""
+COARSEST = 0.5 / CELL
+"""Cycles per pixel along an axis, from which on blocks take frequencies for others."""
 RINGS = np.array([0.25, 0.35, 0.45, 0.55, 0.75])
 """Their edges, in cycles per pixel."""
-SIDE = 2
-"""Pixels of a block."""
 QUIET = 0.5
 """Of what white noise has: a ring's mean counts at least that, or rounding would speak where there is no noise."""
+SMALLEST = 1e-300
+"""Of a power: its logarithm is a number."""
 LEAST = 24
 """Frequencies of a ring whose mean may stand for its noise; smaller ones are left out."""
 
@@ -104,30 +105,26 @@ class Pattern:
         at = np.unravel_index(int(np.argmax(np.where(self.rings > 0, power, -1.0))), power.shape)
         fy, fx = (float(np.broadcast_to(one, power.shape)[at]) for one in self.frequencies)
         direction = float(np.degrees(np.arctan2(fy, fx)))
-        chance = _log_chance(float(power[at]), len(self.rows), int(np.count_nonzero(self.rings)))
-        z = float(-ndtri_exp(chance))
-        return Wave(self.pixel_um / float(np.hypot(fy, fx)), direction, z)
+        expected = _log_expected(float(power[at]), len(self.rows), int(np.count_nonzero(self.rings)))
+        return Wave(self.pixel_um / float(np.hypot(fy, fx)), direction, float(normal_equivalent(expected)))
 
 
 def _inside(values: Real, places: Whole, shape: tuple[int, int]) -> Real:
     """The image of these values at its used places, less the mean of each block; 0 at the others."""
     rows, columns = shape
-    wide = -(-columns // SIDE)
-    block = places // columns // SIDE * wide + places % columns // SIDE
+    wide = -(-columns // CELL)
+    block = places // columns // CELL * wide + places % columns // CELL
     mean = np.bincount(block, values) / np.maximum(np.bincount(block), 1)
     image = np.zeros((rows, columns))
     image.flat[places] = values - mean[block]
     return image
 
 
-def _log_chance(power: float, images: int, frequencies: int) -> float:
-    """Natural logarithm of the chance that of so many sums over images of unit exponentials one is as large."""
-    if power <= 0.0:
-        return -1e-300
+def _log_expected(power: float, images: int, frequencies: int) -> float:
+    """Natural logarithm of how many of so many sums over images of unit exponentials are as large."""
     steps = np.arange(images)
-    one = float(logsumexp(steps * np.log(power) - gammaln(steps + 1.0)) - power)
-    expected = min(np.log(frequencies) + one, 20.0)
-    return float(expected if expected < -20.0 else min(np.log(-np.expm1(-np.exp(expected))), -1e-300))
+    one = logsumexp(steps * np.log(max(power, SMALLEST)) - gammaln(steps + 1.0)) - power
+    return float(np.log(frequencies) + one)
 
 
 def patterns_of(pictures: Sequence[Picture]) -> tuple[Pattern, ...]:

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 Real = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
+CELL = 2  # pixels: the side of the smallest block that votes
+
 
 @dataclass(frozen=True, eq=False)
 class Picture:
