@@ -35,18 +35,19 @@ def ray_tracing(router: Router = None, quiet: Quiet = False) -> None:
     settings, cache = _prepared(router)
     from containers.catalogue import Catalogue
     from containers.ray_tracing.exit_source import ExitSource
+    from containers.ray_tracing.field_source import FieldSource
     from containers.ray_tracing.worker import RayComputation, wanted_threads, warm_up
     from luxloop.bus.blobs import fetcher
     from luxloop.store import BlobStore
 
     threads = wanted_threads()
-    source = ExitSource(cache / "exits", threads=threads)
+    source, fields = ExitSource(cache / "exits", threads=threads), FieldSource(cache / "fields")
     warm_up(source, threads)
     catalogue = Catalogue(settings.effects_dir)
 
     def computation(bus: Bus) -> Computation:
         fetch = fetcher(bus, settings.realm, BlobStore(cache / "blobs"))
-        return RayComputation(fetch, source, threads, catalogue)
+        return RayComputation(fetch, source, threads, catalogue, fields)
 
     _serve("ray-tracing", settings, computation, f"{threads} threads", quiet)
 

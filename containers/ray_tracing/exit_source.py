@@ -12,7 +12,7 @@ from threading import Lock
 
 import numpy as np
 
-from containers.ray_tracing.exit_store import ExitStore
+from containers.ray_tracing.array_store import ArrayStore
 from containers.ray_tracing.exits import Exits, chip_key, make_exits
 from containers.ray_tracing.monte_carlo import BLOCK
 from containers.scene import Scene
@@ -42,7 +42,7 @@ class ExitSource:
         folder_bytes: int = FOLDER_BYTES,
         threads: int | None = None,
     ) -> None:
-        self._store = ExitStore(folder, folder_bytes) if folder is not None else None
+        self._store = ArrayStore(folder, folder_bytes) if folder is not None else None
         self._memory_bytes, self._threads = memory_bytes, threads
         self._held: OrderedDict[str, Exits] = OrderedDict()
         self._lock = Lock()

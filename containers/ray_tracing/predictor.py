@@ -20,7 +20,8 @@ from containers.ray_tracing.build import cell_of, scene_of
 from containers.ray_tracing.camera import seen_px
 from containers.ray_tracing.exit_source import BATCH, ExitSource
 from containers.ray_tracing.exits import Exits, scene_key
-from containers.ray_tracing.field import Field
+from containers.ray_tracing.field import ModuleField
+from containers.ray_tracing.field_source import HELD_BYTES, FieldSource
 from containers.ray_tracing.kept import Kept
 from containers.ray_tracing.light import unweighed
 from containers.ray_tracing.monte_carlo import BLOCK, blocks_of
@@ -55,8 +56,6 @@ MOST_VALUES = 1 << 25
 """Of an answer: the pixels of all shots, once for images, twin's images, each column, and each function of noise."""
 MOST_CHIPS = 2_500
 """Of a module: its image takes 2.4 s (5 x 5: 20 ms), and within an image nobody listens for a cancel."""
-HELD_BYTES = 128 << 20
-"""Of anchors that are kept, and of fields by Monte Carlo (0.4 to 150 MB each); the latest is kept in any case."""
 FEWER, ENOUGH, OTHER_RUN = 8, 4_000_000, 0x2545F4914F
 """Of differences about an anchor: times fewer histories, but no fewer than these; what turns its seed."""
 SHADOW_RAYS = 4096
@@ -80,12 +79,12 @@ class Means(Protocol):
 
 
 class Predictor:
-    """What predicts images for a worker; `source` has the stored chip exits."""
+    """What predicts images for a worker; `source` has the stored chip exits, `fields` those by Monte Carlo."""
 
-    def __init__(self, source: ExitSource, threads: int | None = None) -> None:
+    def __init__(self, source: ExitSource, threads: int | None = None, fields: FieldSource | None = None) -> None:
         self._source, self._threads = source, threads or usable_cores()
         self._anchors = Kept[Anchor](HELD_BYTES, lambda one: one.nbytes)
-        self._fields = Kept[Field](HELD_BYTES, lambda one: one.nbytes)  # by Monte Carlo: one run serves any camera
+        self._fields = fields or FieldSource()  # one run serves any camera
         self._lights = Lights()  # of the twin's chips: what only cameras or places change has them again
 
     def answer(self, request: PredictionRequest, means: Means, progress: Progress) -> tuple[Document, Arrays]:
@@ -227,7 +226,7 @@ class _Job:
         at: Sequence[ShotRequest],
         shots: Sequence[Shot],
         supply: Supply,
-        known: Kept[Field],
+        known: FieldSource,
     ) -> Anchor:
         """An anchor at these shots; what several cameras see is run once, what is `known` is not run again."""
         if not asked.histories:
@@ -240,16 +239,16 @@ class _Job:
         uneven = any(one is not shot for one, shot in zip(even, shots, strict=True))
         images = 4 if uneven else 1 + self.request.noise  # of each shot
         self.steps.total += RUN_STEPS * sum(key not in known for key in set(keys)) + images * len(shots)
-        fields: dict[str, Field] = {}  # all of them are needed at once, however few are kept
+        fields: dict[str, ModuleField] = {}  # all of them are needed at once, however few are kept
         for key, wanted, shot in zip(keys, at, even, strict=True):
             with named(shot.name):
                 run_it = partial(self._field, asked, wanted, shot.traced)
-                fields[key] = fields.get(key) or known.of(key, float(asked.histories), run_it)
+                fields[key] = fields.get(key) or known.of(key, asked.histories, run_it)
         more = self.supply(supply.lights, UNEVEN_ABOUT, apart=surely)
         of_shots = [fields[key] for key in keys]
         return Anchor(shots, of_shots, supply, more, surely, report=self.steps.image, **self.options)
 
-    def _field(self, asked: AnchorRequest, wanted: ShotRequest, scene: Scene) -> Field:
+    def _field(self, asked: AnchorRequest, wanted: ShotRequest, scene: Scene) -> ModuleField:
         """A module's field by Monte Carlo."""
         run = RayRequest(
             **{name: getattr(wanted, name) for name in Module.model_fields},

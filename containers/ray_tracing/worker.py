@@ -11,6 +11,7 @@ from typing import Any
 from containers.acting import Effects
 from containers.catalogue import Catalogue, told
 from containers.ray_tracing.exit_source import ExitSource
+from containers.ray_tracing.field_source import FieldSource
 from containers.ray_tracing.kept import Kept
 from containers.ray_tracing.predictor import Predictor
 from containers.ray_tracing.simulation import simulate
@@ -41,17 +42,23 @@ MOST_THREADS = 1024
 class RayComputation:
     """What makes a worker the ray-tracing worker.
 
-    `fetch` brings a blob by hash and size, from the bus; `source` has the stored chip exits.
+    `fetch` brings a blob by hash and size, from the bus; `source` has the stored chip exits,
+    `fields` what anchors have run.
     """
 
     kind = KIND
 
     def __init__(
-        self, fetch: Fetch, source: ExitSource, threads: int | None = None, catalogue: Catalogue | None = None
+        self,
+        fetch: Fetch,
+        source: ExitSource,
+        threads: int | None = None,
+        catalogue: Catalogue | None = None,
+        fields: FieldSource | None = None,
     ) -> None:
         self._fetch, self._source, self._threads = fetch, source, threads
         self._catalogue = catalogue or Catalogue()
-        self._predictor = Predictor(source, threads)
+        self._predictor = Predictor(source, threads, fields)
         self._films = Kept[tuple[FilmTable, int]](HELD_FILM_BYTES, lambda one: one[1])
 
     def catalogue(self) -> dict[str, Any]:

@@ -19,6 +19,7 @@ from containers.effects.electrode_shadow import ElectrodeShadow
 from containers.ray_tracing import predictor as predictor_module
 from containers.ray_tracing.exit_source import BATCH, ExitSource, joined
 from containers.ray_tracing.exits import make_exits
+from containers.ray_tracing.field_source import HELD_BYTES
 from containers.ray_tracing.monte_carlo import BLOCK
 from containers.ray_tracing.predictor import SHADOW_RAYS, Predictor
 from containers.ray_tracing.simulation import solver_of
@@ -270,10 +271,10 @@ def test_fields_are_kept_as_far_as_there_is_memory(source: ExitSource, monkeypat
     """Those of large modules have 150 MB each; a request that needs more than are kept is answered the same."""
     wanted = request(shot(), shot(NINE), shot(), anchor={"histories": HISTORIES})
     plenty, little = worker(source), worker(source)
-    monkeypatch.setattr(little._predictor._fields, "_most", 1.0)
+    monkeypatch.setattr(little._predictor._fields._held, "_most", 1.0)
     same(ask(wanted, plenty), ask(wanted, little))
-    assert (len(plenty._predictor._fields), len(little._predictor._fields)) == (2, 1)
-    assert plenty._predictor._fields._most == predictor_module.HELD_BYTES
+    assert (len(plenty._predictor._fields._held), len(little._predictor._fields._held)) == (2, 1)
+    assert plenty._predictor._fields._held._most == HELD_BYTES
 
 
 def test_an_anchor_is_kept_for_its_own_requests(source: ExitSource) -> None:

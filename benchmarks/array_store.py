@@ -1,6 +1,6 @@
 """Time of the exit store's put and get for 2 M exits of 40 bytes, beside numpy's own files of the same arrays.
 
-python benchmarks/exit_store.py [folder]
+python benchmarks/array_store.py [folder]
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from containers.ray_tracing.exit_store import ExitStore
+from containers.ray_tracing.array_store import ArrayStore
 
 EXITS = 2_000_000
 REPEATS = 7
@@ -30,12 +30,12 @@ def main() -> None:
     size = sum(array.nbytes for array in arrays.values())
     with tempfile.TemporaryDirectory(dir=parent) as name:
         folder = Path(name)
-        store = ExitStore(folder / "exits")
+        store = ArrayStore(folder / "exits")
         store.put(key, arrays, {"chip": "benchmark"})
         store.get(key)
         np.savez(folder / "exits.npz", **arrays)  # type: ignore[arg-type]  # its stub takes the names for options
         row("put (hash, fsync, rename)", lambda: store.put(key, arrays, {"chip": "benchmark"}))
-        row("first get in a process (hash)", lambda: ExitStore(folder / "exits").get(key))
+        row("first get in a process (hash)", lambda: ArrayStore(folder / "exits").get(key))
         row("later get", lambda: store.get(key))
         row("later get, and sum every array", lambda: total(store.get(key) or {}))
         row("numpy.savez, no fsync", lambda: np.savez(folder / "exits.npz", **arrays))  # type: ignore[arg-type]

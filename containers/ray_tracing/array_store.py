@@ -1,4 +1,4 @@
-"""Stored chip exits: a folder of files, each named by the key of the inputs that its arrays were computed from.
+"""Stored arrays: a folder of files, each named by the key of the inputs that its arrays were computed from.
 
     magic (8 bytes) | length of the header (uint64) | header, JSON | arrays, raw, each at a multiple of 64 | SHA-256
 
@@ -44,7 +44,7 @@ Arrays = dict[str, NDArray[Any]]
 MAX_BYTES = 8 << 30
 MAGIC = b"LXEXIT\x00\x01"
 """The last byte is the version of the layout: a file of another one is computed again."""
-ENDING, WRITING = ".exits", ".new-"
+WRITING = ".new-"
 ALIGN = 64
 HASH_BYTES = 32
 MAX_HEADER_BYTES = 1 << 20
@@ -67,18 +67,27 @@ class _Layout:
     file_bytes: int
 
 
-class ExitStore:
-    """The stored exits in `folder`; all methods may be called from any thread, and any number of processes.
+class ArrayStore:
+    """The stored arrays in `folder`; all methods may be called from any thread, and any number of processes.
+
+    `what` they are ends the names of files: no two sorts in one folder.
 
     `problem` is the last thing that kept it from reading or keeping something ("" when all went well); `warn` is told
     each. `damaged` counts the files that were removed because they were not what had been written.
     """
 
-    def __init__(self, folder: Path, max_bytes: int = MAX_BYTES, warn: Callable[[str], None] | None = None) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        max_bytes: int = MAX_BYTES,
+        warn: Callable[[str], None] | None = None,
+        *,
+        what: str = "exits",
+    ) -> None:
         if max_bytes <= 0:
             raise InputError("max_bytes", max_bytes, "above 0")
         self.problem, self.damaged = "", 0
-        self._folder, self._max_bytes, self._warn = folder, max_bytes, warn
+        self._folder, self._max_bytes, self._warn, self._what = folder, max_bytes, warn, what
         self._verified: dict[str, tuple[int, int, int, bytes]] = {}
         try:
             folder.mkdir(parents=True, exist_ok=True)
@@ -171,7 +180,7 @@ class ExitStore:
         raw = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
         length = int.from_bytes(raw[8:16], "little")
         if raw[:8] != MAGIC or length > MAX_HEADER_BYTES:
-            raise Damaged("not a file of stored exits of this version")
+            raise Damaged("not a file of stored arrays of this version")
         layout = _layout(raw[16 : 16 + length], key)
         if layout.file_bytes != state.st_size:
             raise Damaged(f"{state.st_size} bytes where its header asks for {layout.file_bytes}")
@@ -213,25 +222,29 @@ class ExitStore:
             with contextlib.suppress(FileNotFoundError):  # another process took it away
                 if path.name.startswith(WRITING) and _gone_if_abandoned(path):
                     continue
-                if path.suffix == ENDING or path.name.startswith(WRITING):
+                if path.suffix == self._ending or path.name.startswith(WRITING):
                     state = path.stat()
                     total += state.st_size
                     found.append((state.st_mtime_ns, path, state.st_size))
         for _, path, size in sorted(found):
             if total <= self._max_bytes:
                 return
-            if path != keep and path.suffix == ENDING:
+            if path != keep and path.suffix == self._ending:
                 path.unlink(missing_ok=True)  # arrays mapped from it stay: the file goes with the last of them
-                self._verified.pop(path.name.removesuffix(ENDING), None)
+                self._verified.pop(path.name.removesuffix(self._ending), None)
                 total -= size
+
+    @property
+    def _ending(self) -> str:
+        return f".{self._what}"
 
     def _path(self, key: str) -> Path:
         if len(key) != 64 or not set(key) <= HEX:
             raise InputError("key", key, "a SHA-256, 64 lower-case hex digits")
-        return self._folder / (key + ENDING)
+        return self._folder / (key + self._ending)
 
     def _note(self, problem: str) -> None:
-        self.problem = f"stored exits in {self._folder}: {problem}"
+        self.problem = f"stored {self._what} in {self._folder}: {problem}"
         if self._warn is not None:
             self._warn(self.problem)
 

@@ -20,9 +20,10 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 
-from containers.ray_tracing.exit_store import ENDING, MAGIC, WRITING, ExitStore
+from containers.ray_tracing.array_store import MAGIC, WRITING, ArrayStore
 from luxloop.errors import InputError
 
+ENDING = ".exits"
 HEADER = {"chip": "W 28 um", "seed": "7", "count": 5}
 FILE_BYTES = 1_000_000
 
@@ -64,8 +65,8 @@ def names(folder: Path, ending: str = ENDING) -> set[str]:
 
 def test_another_process_would_read_what_was_put(tmp_path: Path) -> None:
     """A store opened afresh finds arrays and header bit for bit."""
-    assert ExitStore(tmp_path).put(key(1), arrays(1), HEADER)
-    fresh = ExitStore(tmp_path)
+    assert ArrayStore(tmp_path).put(key(1), arrays(1), HEADER)
+    fresh = ArrayStore(tmp_path)
     assert same(fresh.get(key(1)), arrays(1))
     assert fresh.header(key(1)) == HEADER
     assert fresh.problem == ""
@@ -73,7 +74,7 @@ def test_another_process_would_read_what_was_put(tmp_path: Path) -> None:
 
 def test_an_absent_key_is_not_there(tmp_path: Path) -> None:
     """None for arrays and header, and no problem is noted."""
-    store = ExitStore(tmp_path)
+    store = ArrayStore(tmp_path)
     assert store.get(key(1)) is None
     assert store.header(key(1)) is None
     assert (store.problem, store.damaged) == ("", 0)
@@ -88,7 +89,7 @@ def test_an_absent_key_is_not_there(tmp_path: Path) -> None:
 )
 def test_any_numbers_in_any_shape_come_back(tmp_path: Path, array: NDArray[Any]) -> None:
     """Shapes with a zero, scalars, nan and big-endian input: same bits, little-endian."""
-    store = ExitStore(tmp_path)
+    store = ArrayStore(tmp_path)
     store.put(key(0), {"a": array, "b": array.T}, {})
     found = store.get(key(0))
     assert found is not None
@@ -100,7 +101,7 @@ def test_any_numbers_in_any_shape_come_back(tmp_path: Path, array: NDArray[Any])
 
 def test_what_is_read_cannot_be_changed(tmp_path: Path) -> None:
     """Arrays are read-only views of the mapped file, aligned for vector instructions."""
-    store = ExitStore(tmp_path)
+    store = ArrayStore(tmp_path)
     store.put(key(1), arrays(1), HEADER)
     for array in (store.get(key(1)) or {}).values():
         with pytest.raises(ValueError, match="read-only"):
@@ -111,14 +112,14 @@ def test_what_is_read_cannot_be_changed(tmp_path: Path) -> None:
 def test_equal_inputs_make_equal_files(tmp_path: Path) -> None:
     """The file is a function of key, header and arrays: no clock, no process in it."""
     for name in ("a", "b"):
-        ExitStore(tmp_path / name).put(key(1), arrays(1), HEADER)
+        ArrayStore(tmp_path / name).put(key(1), arrays(1), HEADER)
     (a,), (b,) = (list((tmp_path / name).iterdir()) for name in ("a", "b"))
     assert a.read_bytes() == b.read_bytes()
 
 
 def test_the_hash_at_the_end_is_over_everything_before_it(tmp_path: Path) -> None:
     """Any tool can verify a file."""
-    ExitStore(tmp_path).put(key(1), arrays(1), HEADER)
+    ArrayStore(tmp_path).put(key(1), arrays(1), HEADER)
     raw = (tmp_path / (key(1) + ENDING)).read_bytes()
     assert raw.startswith(MAGIC)
     assert hashlib.sha256(raw[:-32]).digest() == raw[-32:]
@@ -126,7 +127,7 @@ def test_the_hash_at_the_end_is_over_everything_before_it(tmp_path: Path) -> Non
 
 def test_arrays_outlive_their_file(tmp_path: Path) -> None:
     """What a worker holds stays right after another process evicted it."""
-    store = ExitStore(tmp_path)
+    store = ArrayStore(tmp_path)
     store.put(key(1), arrays(1), HEADER)
     found = store.get(key(1))
     (tmp_path / (key(1) + ENDING)).unlink()
@@ -166,11 +167,11 @@ DAMAGE: dict[str, Callable[[bytes], bytes]] = {
 @pytest.mark.parametrize("damage", DAMAGE.values(), ids=DAMAGE.keys())
 def test_a_damaged_file_is_removed_and_computed_again(tmp_path: Path, damage: Callable[[bytes], bytes]) -> None:
     """Whatever region is hit: no arrays, the file is gone, it is counted, and the next put is found."""
-    ExitStore(tmp_path).put(key(1), arrays(1), HEADER)
+    ArrayStore(tmp_path).put(key(1), arrays(1), HEADER)
     path = tmp_path / (key(1) + ENDING)
     path.write_bytes(damage(path.read_bytes()))
     told: list[str] = []
-    store = ExitStore(tmp_path, warn=told.append)
+    store = ArrayStore(tmp_path, warn=told.append)
     assert store.get(key(1)) is None
     assert not path.exists()
     assert store.damaged == 1
@@ -181,7 +182,7 @@ def test_a_damaged_file_is_removed_and_computed_again(tmp_path: Path, damage: Ca
 
 def test_a_file_under_another_key_is_not_taken(tmp_path: Path) -> None:
     """A renamed file is whole and still not what its name says."""
-    store = ExitStore(tmp_path)
+    store = ArrayStore(tmp_path)
     store.put(key(1), arrays(1), HEADER)
     (tmp_path / (key(1) + ENDING)).rename(tmp_path / (key(2) + ENDING))
     assert store.get(key(2)) is None
@@ -190,7 +191,7 @@ def test_a_file_under_another_key_is_not_taken(tmp_path: Path) -> None:
 
 def test_a_file_replaced_after_it_was_verified_is_hashed_again(tmp_path: Path) -> None:
     """Verified is the file that was seen, not its name."""
-    store = ExitStore(tmp_path)
+    store = ArrayStore(tmp_path)
     store.put(key(1), arrays(1), HEADER)
     assert same(store.get(key(1)), arrays(1))
     path = tmp_path / (key(1) + ENDING)
@@ -205,7 +206,7 @@ def test_a_file_replaced_after_it_was_verified_is_hashed_again(tmp_path: Path) -
 
 def test_the_least_recently_used_go_first(tmp_path: Path) -> None:
     """With room for three, a get saves the oldest from the fourth, and the next oldest goes."""
-    store = ExitStore(tmp_path, max_bytes=int(3.5 * FILE_BYTES))
+    store = ArrayStore(tmp_path, max_bytes=int(3.5 * FILE_BYTES))
     for number in range(3):
         store.put(key(number), large(number), {})
     assert store.get(key(0)) is not None
@@ -217,7 +218,7 @@ def test_the_least_recently_used_go_first(tmp_path: Path) -> None:
 
 def test_a_set_that_was_evicted_comes_back_as_it_was(tmp_path: Path) -> None:
     """Put, evicted, put again: the same file, bit for bit."""
-    store = ExitStore(tmp_path, max_bytes=int(1.5 * FILE_BYTES))
+    store = ArrayStore(tmp_path, max_bytes=int(1.5 * FILE_BYTES))
     store.put(key(0), large(0), HEADER)
     first = (tmp_path / (key(0) + ENDING)).read_bytes()
     assert store.get(key(0)) is not None
@@ -234,7 +235,7 @@ def test_a_set_that_was_evicted_comes_back_as_it_was(tmp_path: Path) -> None:
 
 def test_a_set_above_the_bound_is_not_kept_and_evicts_nothing(tmp_path: Path) -> None:
     """One large set does not sweep the store out."""
-    store = ExitStore(tmp_path, max_bytes=FILE_BYTES // 2)
+    store = ArrayStore(tmp_path, max_bytes=FILE_BYTES // 2)
     assert store.put(key(1), arrays(1), HEADER)
     assert not store.put(key(2), large(2), {})
     assert "may hold" in store.problem
@@ -245,8 +246,8 @@ def test_a_smaller_bound_holds_from_the_start(tmp_path: Path) -> None:
     """A store opened with less room takes away what is too much; other files in the folder stay."""
     (tmp_path / "notes.txt").write_text("mine")
     for number in range(3):
-        ExitStore(tmp_path).put(key(number), large(number), {})
-    ExitStore(tmp_path, max_bytes=int(1.5 * FILE_BYTES))
+        ArrayStore(tmp_path).put(key(number), large(number), {})
+    ArrayStore(tmp_path, max_bytes=int(1.5 * FILE_BYTES))
     assert names(tmp_path) == {key(2)}
     assert (tmp_path / "notes.txt").read_text() == "mine"
 
@@ -258,8 +259,8 @@ CHILD = """
 import sys
 from pathlib import Path
 import numpy as np
-from containers.ray_tracing.exit_store import ExitStore
-from tests.containers.test_exit_store import FILE_BYTES, key, large, same
+from containers.ray_tracing.array_store import ArrayStore
+from tests.containers.test_array_store import FILE_BYTES, key, large, same
 folder, work = Path(sys.argv[1]), sys.argv[2]
 """
 
@@ -271,7 +272,7 @@ def child(folder: Path, work: str, code: str) -> subprocess.Popen[bytes]:
 
 
 ENDLESS = """
-store = ExitStore(folder)
+store = ArrayStore(folder)
 array = np.full(4_000_000, float(work))
 number = 0
 while True:
@@ -308,7 +309,7 @@ def test_a_killed_writer_leaves_nothing_half_done(tmp_path: Path) -> None:
         process.send_signal(signal.SIGKILL)
         process.wait()
         leftovers += len(list(tmp_path.glob(WRITING + "*")))
-        store = ExitStore(tmp_path)
+        store = ArrayStore(tmp_path)
         assert list(tmp_path.glob(WRITING + "*")) == []
         for name in names(tmp_path):
             found = store.get(name)
@@ -321,17 +322,17 @@ def test_a_killed_writer_leaves_nothing_half_done(tmp_path: Path) -> None:
 
 def test_a_living_writer_is_left_alone(tmp_path: Path) -> None:
     """Opening a store takes away only files whose writer is dead: the lock tells."""
-    store = ExitStore(tmp_path)
+    store = ArrayStore(tmp_path)
     file, path = store._new_file()
     with file:
-        ExitStore(tmp_path)
+        ArrayStore(tmp_path)
         assert path.exists()
-    ExitStore(tmp_path)
+    ArrayStore(tmp_path)
     assert not path.exists()
 
 
 RIVAL = """
-store = ExitStore(folder, max_bytes=int(4.5 * FILE_BYTES))
+store = ArrayStore(folder, max_bytes=int(4.5 * FILE_BYTES))
 rng = np.random.default_rng(int(work))
 for number in rng.integers(0, 8, 60).tolist():
     found = store.get(key(number))
@@ -356,7 +357,7 @@ def test_two_processes_share_a_folder(tmp_path: Path) -> None:
 FULL = """
 import resource, signal
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-store = ExitStore(folder)
+store = ArrayStore(folder)
 assert store.put(key(0), large(0), {})
 resource.setrlimit(resource.RLIMIT_FSIZE, (FILE_BYTES // 2, FILE_BYTES // 2))
 assert not store.put(key(1), large(1), {})
@@ -377,7 +378,7 @@ def test_a_folder_that_cannot_be_made_stops_nobody(tmp_path: Path) -> None:
     """A file where the folder should be: put keeps nothing, get finds nothing, and the store says why."""
     (tmp_path / "file").write_text("")
     told: list[str] = []
-    store = ExitStore(tmp_path / "file" / "exits", warn=told.append)
+    store = ArrayStore(tmp_path / "file" / "exits", warn=told.append)
     assert not store.put(key(1), arrays(1), HEADER)
     assert store.get(key(1)) is None
     assert len(told) >= 2
@@ -388,7 +389,7 @@ READ_ONLY = """
 import os
 if os.geteuid() == 0:
     os.setuid(65534)  # nothing is read-only to root
-store = ExitStore(folder)
+store = ArrayStore(folder)
 assert same(store.get(key(0)), large(0)), store.problem
 assert not store.put(key(1), large(1), {})
 assert "not kept" in store.problem, store.problem
@@ -399,7 +400,7 @@ def test_a_read_only_store_is_read() -> None:
     """What is there is found though its use cannot be noted; what is new is not kept."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        ExitStore(folder).put(key(0), large(0), {})
+        ArrayStore(folder).put(key(0), large(0), {})
         folder.chmod(0o555)
         process = child(folder, "", READ_ONLY)
         assert process.wait() == 0
@@ -414,9 +415,9 @@ def test_a_read_only_store_is_read() -> None:
 def test_a_key_is_a_hash(tmp_path: Path, bad: str) -> None:
     """Nothing else names a file."""
     with pytest.raises(InputError, match="SHA-256"):
-        ExitStore(tmp_path).put(bad, arrays(), HEADER)
+        ArrayStore(tmp_path).put(bad, arrays(), HEADER)
     with pytest.raises(InputError, match="SHA-256"):
-        ExitStore(tmp_path).get(bad)
+        ArrayStore(tmp_path).get(bad)
 
 
 @pytest.mark.parametrize(
@@ -433,11 +434,11 @@ def test_a_key_is_a_hash(tmp_path: Path, bad: str) -> None:
 def test_what_has_no_place_in_a_file_is_refused(tmp_path: Path, put: Any, header: Any, field: str) -> None:
     """Objects, words, complex numbers, headers that are no JSON or too long; nothing is written."""
     with pytest.raises(InputError, match=field):
-        ExitStore(tmp_path).put(key(1), put, header)
+        ArrayStore(tmp_path).put(key(1), put, header)
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_bound_is_above_zero(tmp_path: Path) -> None:
     """A store of no bytes is a mistake."""
     with pytest.raises(InputError, match="max_bytes"):
-        ExitStore(tmp_path, max_bytes=0)
+        ArrayStore(tmp_path, max_bytes=0)
