@@ -238,12 +238,14 @@ class _Job:
         surely = not self.request.noise
         uneven = any(one is not shot for one, shot in zip(even, shots, strict=True))
         images = 4 if uneven else 1 + self.request.noise  # of each shot
-        self.steps.total += RUN_STEPS * sum(key not in known for key in set(keys)) + images * len(shots)
+        to_run = {key for key in keys if key not in known}
+        self.steps.total += RUN_STEPS * len(to_run) + images * len(shots)
         fields: dict[str, ModuleField] = {}  # all of them are needed at once, however few are kept
-        for key, wanted, shot in zip(keys, at, even, strict=True):
+        of_known_first = sorted(zip(keys, at, even, strict=True), key=lambda one: one[0] in to_run)
+        for key, wanted, shot in of_known_first:  # what is made may push out what is known
             with named(shot.name):
-                run_it = partial(self._field, asked, wanted, shot.traced)
-                fields[key] = fields.get(key) or known.of(key, asked.histories, run_it)
+                run_it, lasting = partial(self._field, asked, wanted, shot.traced), not asked.stored_exits
+                fields[key] = fields.get(key) or known.of(key, asked.histories, run_it, lasting=lasting)
         more = self.supply(supply.lights, UNEVEN_ABOUT, apart=surely)
         of_shots = [fields[key] for key in keys]
         return Anchor(shots, of_shots, supply, more, surely, report=self.steps.image, **self.options)
