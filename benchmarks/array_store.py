@@ -1,4 +1,4 @@
-"""Time of the exit store's put and get for 2 M exits of 40 bytes, beside numpy's own files of the same arrays.
+"""Time of the store's put and get for 2 M exits of 40 bytes, beside numpy's own files of the same arrays.
 
 python benchmarks/array_store.py [folder]
 """

@@ -82,7 +82,7 @@ class ArrayStore:
         max_bytes: int = MAX_BYTES,
         warn: Callable[[str], None] | None = None,
         *,
-        what: str = "exits",
+        what: str = "arrays",
     ) -> None:
         if max_bytes <= 0:
             raise InputError("max_bytes", max_bytes, "above 0")

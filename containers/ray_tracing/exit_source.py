@@ -42,7 +42,7 @@ class ExitSource:
         folder_bytes: int = FOLDER_BYTES,
         threads: int | None = None,
     ) -> None:
-        self._store = ArrayStore(folder, folder_bytes) if folder is not None else None
+        self._store = ArrayStore(folder, folder_bytes, what="exits") if folder is not None else None
         self._memory_bytes, self._threads = memory_bytes, threads
         self._held: OrderedDict[str, Exits] = OrderedDict()
         self._lock = Lock()

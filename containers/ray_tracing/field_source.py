@@ -24,7 +24,7 @@ from containers.ray_tracing.kept import Kept
 from luxloop.words import sha256_of
 
 HELD_BYTES = 128 << 20
-"""Of fields in memory (0.4 to 150 MB each); the latest is kept in any case."""
+"""Of fields in memory (0.4 to 150 MB each), and of anchors; the latest is kept in any case."""
 FOLDER_BYTES = 1 << 30
 FEWEST_STORED = 1_000_000
 """Histories of a field that is worth a file: about a second of two cores. Columns take many of fewer."""

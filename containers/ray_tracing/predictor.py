@@ -241,8 +241,8 @@ class _Job:
         to_run = {key for key in keys if key not in known}
         self.steps.total += RUN_STEPS * len(to_run) + images * len(shots)
         fields: dict[str, ModuleField] = {}  # all of them are needed at once, however few are kept
-        of_known_first = sorted(zip(keys, at, even, strict=True), key=lambda one: one[0] in to_run)
-        for key, wanted, shot in of_known_first:  # what is made may push out what is known
+        known_first = sorted(zip(keys, at, even, strict=True), key=lambda one: one[0] in to_run)
+        for key, wanted, shot in known_first:  # what is made may push out what is known
             with named(shot.name):
                 run_it, lasting = partial(self._field, asked, wanted, shot.traced), not asked.stored_exits
                 fields[key] = fields.get(key) or known.of(key, asked.histories, run_it, lasting=lasting)

@@ -1,4 +1,4 @@
-"""Stored exits: what is read is what was put, or nothing; no kill, damage, rival or full disk makes it otherwise."""
+"""Stored arrays: what is read is what was put, or nothing; no kill, damage, rival or full disk makes it otherwise."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from containers.ray_tracing.array_store import MAGIC, WRITING, ArrayStore
 from luxloop.errors import InputError
 
-ENDING = ".exits"
+ENDING = ".arrays"
 HEADER = {"chip": "W 28 um", "seed": "7", "count": 5}
 FILE_BYTES = 1_000_000
 
