@@ -140,8 +140,8 @@ def launched(
         part = rays[group * share : (group + 1) * share]
         part.flags.writeable = False  # as stored exits are: kernels are compiled once
         land_group(
-            arrays, emission, np.uint64(seed), group, groups, 0, part, np.zeros(0, np.float32), 1.0, fan,
-            tally.sinks(group), scratch(),
+            arrays, emission, np.uint64(seed), group, groups, np.arange(share, dtype=np.uint64), part,
+            np.zeros(0, np.float32), 1.0, fan, tally.sinks(group), scratch(),
         )  # fmt: skip
     tally.ledger[:, ENDS.index("emitted")] = share
     tally.histories = share

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from containers.bsdf import Lambertian
 from containers.ray_tracing.arrays import ENDS, TRACE
-from containers.ray_tracing.kernel import EXIT, exits_of_group, land_group, scratch
+from containers.ray_tracing.kernel import EXIT, PLACE_OF_EXIT, exits_of_group, land_group, scratch
 from containers.ray_tracing.monte_carlo import BLOCK, survival_of
 from containers.ray_tracing.packing import emission_arrays, scene_arrays
 from containers.ray_tracing.sobol import DIRECTIONS
@@ -32,7 +32,7 @@ from luxloop.process import usable_cores
 Real = NDArray[np.float64]
 Single = NDArray[np.float32]
 
-VERSION = 8
+VERSION = 9
 """Of the walk inside the chip and what it notes: another number makes other keys."""
 LANDING = 0x9E3779B97F4A7C15
 """Landing draws with the seed turned by this, so that it shares no number with the walk inside the chip."""
@@ -63,6 +63,17 @@ class Exits:
     def histories(self) -> int:
         """Of each group."""
         return BLOCK * int(self.ledger.shape[1])
+
+    def numbers(self, group: int, blocks: range) -> NDArray[np.uint64]:
+        """Of the histories that a group's exits of some of its blocks are of, (exit,).
+
+        What becomes of an exit is drawn by its history's number, not its own: where one chip loses light that another
+        one sends out, all other light of both goes the same ways.
+        """
+        ends = self.ends[group, blocks.start : blocks.stop + 1]
+        begins = BLOCK * np.arange(self.first_block + blocks.start, self.first_block + blocks.stop, dtype=np.uint64)
+        places = self.rays[ends[0] : ends[-1], PLACE_OF_EXIT].astype(np.uint64)
+        return np.repeat(begins, np.diff(ends)) + places
 
     @property
     def nbytes(self) -> int:
@@ -216,11 +227,10 @@ class Landing:
     def _land(self, exits: Exits, blocks: range, group: int) -> None:
         ends = exits.ends[group]
         own = slice(ends[blocks.start], ends[blocks.stop])
-        begin = exits.first_block * BLOCK + int(ends[blocks.start] - ends[0])
         weights = exits.weights if exits.weights is None else exits.weights[own]
         land_group(
-            self._arrays, self._emission, np.uint64(self.seed ^ LANDING), group, self.tally.groups, begin,
-            exits.rays[own], np.zeros(0, np.float32) if weights is None else weights, self._survival, self._fan,
-            self.tally.sinks(group), scratch(),
+            self._arrays, self._emission, np.uint64(self.seed ^ LANDING), group, self.tally.groups,
+            exits.numbers(group, blocks), exits.rays[own], np.zeros(0, np.float32) if weights is None else weights,
+            self._survival, self._fan, self.tally.sinks(group), scratch(),
         )  # fmt: skip
         self.tally.ledger[group] += exits.ledger[group, blocks.start : blocks.stop].sum(axis=0)

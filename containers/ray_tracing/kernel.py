@@ -22,7 +22,7 @@ from containers.ray_tracing.recording import note_direction
 from containers.ray_tracing.sobol import DIMENSIONS, point
 
 Real = NDArray[np.float64]
-EVENT_OF_EXIT, WAVE_OF_EXIT, WEIGHT_OF_EXIT, EXIT = 6, 7, 8, 9
+EVENT_OF_EXIT, WAVE_OF_EXIT, WEIGHT_OF_EXIT, PLACE_OF_EXIT, EXIT = 6, 7, 8, 9, 10
 """A stored exit: position relative to the chip (um), direction, optical event, number of the wavelength, weight."""
 _SOBOL_KEY = np.uint64(0xFFFFFFFF)
 _GOLDEN, _ELEVEN = np.uint64(0x9E3779B97F4A7C15), np.uint64(11)
@@ -108,7 +108,7 @@ def exits_of_group(
         for i in range(EVENT_OF_EXIT):
             rays[found, i] = ray[i]
         rays[found, EVENT_OF_EXIT], rays[found, WAVE_OF_EXIT] = ray[of.EVENT], wave
-        rays[found, WEIGHT_OF_EXIT] = ray[of.WEIGHT]
+        rays[found, WEIGHT_OF_EXIT], rays[found, PLACE_OF_EXIT] = ray[of.WEIGHT], place - first
         ledger[of.ROULETTE_END] += rays[found, WEIGHT_OF_EXIT] - ray[of.WEIGHT]  # what single precision made of it
         for i in range(notes.shape[1]):
             notes[found, i] = trace[i]
@@ -123,7 +123,7 @@ def land_group(
     seed: np.uint64,
     group: int,
     groups: int,
-    first: int,
+    numbers: NDArray[np.uint64],
     rays: NDArray[np.float32],
     weights: NDArray[np.float32],
     survival: float,
@@ -131,7 +131,7 @@ def land_group(
     sinks: Sinks,
     scratch: Scratch,
 ) -> None:
-    """Follow stored exits, number `first` and on of a group, from their chip until they end.
+    """Follow stored exits, of histories `numbers` (n,) of a group, from their chip until they end.
 
     `weights` (n,): factor on each exit's weight where the chip is another than the one it comes from; (0,): none.
     """
@@ -139,8 +139,8 @@ def land_group(
     start(stream, seed, np.uint64(group))
     shift, _, _, _ = draw(stream, CHIP, 0)
     for number in range(rays.shape[0]):
-        start(stream, seed, np.uint64(first + number) * np.uint64(groups) + np.uint64(group))
-        wave = take_exit(emission, rays, weights, number, _in_turn(np.uint64(first + number), shift), ray)
+        start(stream, seed, numbers[number] * np.uint64(groups) + np.uint64(group))
+        wave = take_exit(emission, rays, weights, number, _in_turn(numbers[number], shift), ray)
         path = clear_way(scene, ray)
         leave_chip(ray, sinks)
         if path > 0.0:

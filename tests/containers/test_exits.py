@@ -8,11 +8,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from containers.bsdf import GaussianLobe, Lambertian, Mirror
 from containers.ray_tracing.exits import Exits, Landing, chip_key, make_exits
 from containers.ray_tracing.monte_carlo import BLOCK, MonteCarlo
-from containers.ray_tracing.tally import Tally
+from containers.ray_tracing.packing import emission_arrays
+from containers.ray_tracing.tally import Box, Tally
+from containers.ray_tracing.twin.direct import direct_light, open_way
 from containers.scene import Array, Cell, Emission, Receiver, Scene, lambertian_receiver
 from luxloop.errors import InputError
 from tests.ray_scenes import bare, film_face, illuminance, launched, mean_and_error, mode, scene, with_chip
@@ -106,6 +109,7 @@ def test_a_later_batch_is_the_end_of_a_larger_set() -> None:
         assert np.array_equal(
             whole.rays[whole.ends[group, 2] : whole.ends[group, 3]], batch.rays[slice(*batch.ends[group])]
         )
+        assert np.array_equal(whole.numbers(group, range(2, 3)), batch.numbers(group, range(1)))
     assert np.array_equal(whole.ledger[:, 2:], batch.ledger)
 
 
@@ -117,6 +121,33 @@ def test_exits_are_a_function_of_chip_seed_and_count() -> None:
     assert np.array_equal(a.ends, again.ends)
     assert np.array_equal(a.ledger, again.ledger)
     assert not np.array_equal(a.rays[:100], exits_of_plain(2).rays[:100])
+
+
+def some_of(exits: Exits, kept: NDArray[np.bool_]) -> Exits:
+    """The same walk with some of its exits (exit,) lost."""
+    return replace(
+        exits, rays=exits.rays[kept], notes=exits.notes[kept], ends=np.concatenate([[0], np.cumsum(kept)])[exits.ends]
+    )
+
+
+def test_an_exit_goes_its_way_whatever_becomes_of_others() -> None:
+    """Lost exits change nothing but their own light: what a third and the rest make adds up to what all make.
+
+    So chips that differ a little, and lose other light inside, have noise in common in all that both send out.
+    """
+    of = scene(layout=Array.regular(2, 2, 400.0))
+    exits = make_exits(of, 4, 2 * BLOCK, notes=True)
+    third = np.random.default_rng(8).random(len(exits.rays)) < 1.0 / 3.0
+    parts = [some_of(exits, kept) for kept in (third, ~third)]
+    numbers = [np.concatenate([one.numbers(5, range(2)) for one in some]) for some in ([exits], parts)]
+    assert np.array_equal(numbers[0], np.sort(numbers[1]))
+    assert numbers[0].max() < 2 * BLOCK
+    by_part = [landed(of, one).bins for one in parts]
+    assert np.abs(by_part[0]).sum() > 0.0
+    np.testing.assert_allclose(sum(by_part), landed(of, exits).bins, rtol=1e-9, atol=1e-12)
+    way, lit = open_way(of, Box.of(of)), emission_arrays(of)
+    twins = [direct_light(way, lit, one, 3).bins for one in (exits, *parts)]
+    np.testing.assert_allclose(twins[1] + twins[2], twins[0], rtol=1e-9, atol=1e-12)
 
 
 def test_landing_part_of_a_set_is_landing_the_smaller_set() -> None:

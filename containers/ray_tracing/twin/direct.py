@@ -200,7 +200,7 @@ def direct_light(
 
     sets, births = _sets_of(exits)
     per_um = 0.0 if exits.births is None else 1.0 / exits.births.width_um
-    numbers = np.uint64(seed ^ LANDING)
+    key = np.uint64(seed ^ LANDING)
     arrivals = [[UNKNOWN] * own for _ in sets]
     if known is not None and way.dark is not None:
         how = {"blocks": blocks, "groups": own, "seed": seed, "threads": threads}
@@ -214,7 +214,7 @@ def direct_light(
                 weights = np.zeros(0, np.float32) if one.weights is None else one.weights[mine]
                 born, into = BirthArrays(counts, per_um, way.images), bins[together]
                 land_direct(
-                    way.arrays, emission, numbers, group, own, one.first_block * BLOCK, one.rays[mine], weights,
+                    way.arrays, emission, key, group, own, one.numbers(group, range(blocks)), one.rays[mine], weights,
                     one.notes[mine], born, its[group], lost, work, into,
                 )  # fmt: skip
                 if way.arrays.leak_share:

@@ -97,17 +97,17 @@ def walk_ways(
     seed: np.uint64,
     group: int,
     groups: int,
-    first: int,
+    numbers: NDArray[np.uint64],
     rays: Single,
     weights: Single,
     arrivals: Arrivals,
     sinks: Sinks,
     scratch: Scratch,
 ) -> None:
-    """Follow exits, number `first` and on of a group, to the receiver or to chips, which take all that meets them."""
+    """Follow exits, of histories `numbers` (n,) of a group, to the receiver or to chips, which take what comes."""
     stream, ray, trace, _, _ = scratch
     for number in range(rays.shape[0]):
-        start(stream, seed, np.uint64(first + number) * np.uint64(groups) + np.uint64(group))
+        start(stream, seed, numbers[number] * np.uint64(groups) + np.uint64(group))
         wave = take_exit(emission, rays, weights, number, 0.0, ray)
         ray[WEIGHT], sinks.ledger[DBR_END] = 1.0, 0.0
         if _lands(dark, wave, ray, stream, sinks, trace):
@@ -126,7 +126,7 @@ def land_direct(
     seed: np.uint64,
     group: int,
     groups: int,
-    first: int,
+    numbers: NDArray[np.uint64],
     rays: Single,
     weights: Single,
     notes: Single,
@@ -136,7 +136,7 @@ def land_direct(
     scratch: Scratch,
     bins: Real,
 ) -> None:
-    """Follow exits, number `first` and on of a group, into `bins` (layer, y, x).
+    """Follow exits, of histories `numbers` (n,) of a group, into `bins` (layer, y, x).
 
     `weights`, `notes`: as `Exits` has them, none where they are empty; notes are read where births have weights.
     """
@@ -150,7 +150,7 @@ def land_direct(
             continue
         if known and arrivals.bounces[number] == LOST:
             continue
-        start(stream, seed, np.uint64(first + number) * np.uint64(groups) + np.uint64(group))
+        start(stream, seed, numbers[number] * np.uint64(groups) + np.uint64(group))
         wave = take_exit(emission, rays, weights, number, 0.0, ray)
         faintest = FAINTEST * ray[WEIGHT]
         landed = _lands(scene, wave, ray, stream, sinks, trace)

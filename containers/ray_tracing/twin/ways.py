@@ -15,7 +15,6 @@ import numpy as np
 from containers.ray_tracing.arrays import EmissionArrays, SceneArrays
 from containers.ray_tracing.exits import LANDING, Exits
 from containers.ray_tracing.kernel import scratch
-from containers.ray_tracing.monte_carlo import BLOCK
 from containers.ray_tracing.tally import nowhere
 from containers.ray_tracing.twin.direct_kernel import Arrivals, walk_ways
 from containers.ray_tracing.twin.held import Held
@@ -67,7 +66,7 @@ class Ways:
             rays = exits.rays[exits.ends[group, 0] : exits.ends[group, blocks]]
             found = Arrivals(np.zeros((len(rays), 3)), np.zeros(len(rays), np.int8))
             walk_ways(
-                dark.scene, emission, np.uint64(seed ^ LANDING), group, groups, exits.first_block * BLOCK,
+                dark.scene, emission, np.uint64(seed ^ LANDING), group, groups, exits.numbers(group, range(blocks)),
                 rays, np.zeros(0, np.float32), found, nowhere(), scratch(),
             )  # fmt: skip
             return found
