@@ -126,6 +126,20 @@ def test_kill_9_while_the_file_is_made_leaves_one_that_opens(tmp_path: Path) -> 
             assert database.put(key_of(0), table_of(0))
 
 
+def test_a_new_file_that_another_process_is_about_to_write_is_waited_for(tmp_path: Path) -> None:
+    """SQLite does not wait there, and a worker that started beside another one ended: "database is locked"."""
+    path = tmp_path / "films.sqlite"
+    other = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
+    other.execute("BEGIN IMMEDIATE")
+    end = threading.Timer(0.3, other.execute, ("ROLLBACK",))
+    end.start()
+    with open_database(path) as database:
+        assert database.put(key_of(0), table_of(0))
+    end.join()
+    other.close()
+    healthy(path)
+
+
 def test_two_processes_write_the_same_and_different_keys(tmp_path: Path) -> None:
     """Three writers open a new file at once, two on the same keys: all tables are there, none damaged."""
     path = tmp_path / "films.sqlite"
