@@ -61,8 +61,9 @@ def _alike(specs: Sequence[EffectSpec], maps: Sequence[Document]) -> Iterator[st
         " and a 5 x 5 array, with 0, 2.5 and 5.5 pairs, one distance), and 300 nm of a polymer on silicon (R, T, psi,"
         " delta; its thickness and index free). Boxes are groups beyond 0.9; a diagnosis names the group, and"
         " `luxloop next` the measurement that would tell. An effect of every chip is alike with all that 25 numbers"
-        " can imitate. Where light takes other ways inside the chips with each value (side_wall_roughness), or Monte"
-        " Carlo alone represents an effect (edge_walls, receiver_tilt), it is what two runs agree about: some noise"
+        " can imitate. Where light takes other ways inside the chips with each value (side_wall_roughness,"
+        " active_layer_thickness), or Monte Carlo alone represents an effect (edge_walls, receiver_tilt), it is what"
+        " two runs agree about: some noise"
         " is left in it, and such an effect is alike with less than it is. `luxloop effects confusion DATASET --page"
         " map.html` shows what your own data can tell."
     )

@@ -79,6 +79,8 @@ class Emission:
 
     layer_depth: float | None = None
     """Height of a thin active layer as a share of T; None: the whole volume."""
+    layer_reach: float = 0.0
+    """By how much of its height the layer reaches down from there, evenly; 0: a thin one."""
     cosine: Real = field(default_factory=lambda: np.array([-1.0, 1.0]))
     """(m,), increasing, cosine to the chip's normal, of the intensity below."""
     intensity: Real = field(default_factory=lambda: np.ones(2))
@@ -91,6 +93,8 @@ class Emission:
     def __post_init__(self) -> None:
         if self.layer_depth is not None:
             within("layer_depth", self.layer_depth, 0.0, 1.0, "a share of the chip's thickness")
+        most = 0.0 if self.layer_depth is None else 1.0
+        within("layer_reach", self.layer_reach, 0.0, most, "a share of the layer's height; a whole volume has none")
         cosine = within("cosine", self.cosine, -1.0, 1.0, "from -1 to 1")
         intensity = within("intensity", self.intensity, 0.0, 1e12, "weights")
         position = within("position", self.position, 0.0, 1e12, "weights")
@@ -103,6 +107,13 @@ class Emission:
             raise InputError("cosine", cosine.shape, "increasing cosines, one for each intensity")
         if position.ndim != 2 or not position.sum() > 0.0 or not intensity.sum() > 0.0:
             raise InputError("position", position.shape, "weights (y, x), not all 0", "something must shine")
+
+    @property
+    def heights(self) -> tuple[float, float]:
+        """The lowest and the highest place where light is born, as shares of T: evenly in between."""
+        if self.layer_depth is None:
+            return 0.0, 1.0
+        return (1.0 - self.layer_reach) * self.layer_depth, self.layer_depth
 
     def by_direction(self, factor: Callable[[Real], Real]) -> Emission:
         """The emission with its intensity multiplied by a function of the cosine to the chip's normal."""

@@ -279,7 +279,7 @@ def emission_arrays(scene: Scene) -> EmissionArrays:
         wave_cumulative=np.cumsum(scene.wavelength_weight),
         cosine_quantiles=quantiles(emission.cosine, emission.intensity),
         intensity=_per_solid_angle(emission),
-        height_quantiles=np.array([0.0, 1.0] if emission.layer_depth is None else [emission.layer_depth] * 2),
+        height_quantiles=np.array(emission.heights),
         row_cumulative=_cumulative(position.sum(axis=1)),
         column_cumulative=np.stack([_cumulative(row) for row in position]),
         chip_cumulative=_cumulative(power)[1:],

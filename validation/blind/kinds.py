@@ -40,8 +40,8 @@ _STACK = (
            "Layers are thicker on one side, by a profile that levels off, tanh(x / 1.5 mm): a wafer's growth."),
 )  # fmt: skip
 _CHIP = (
-    _known("thick_active_layer", "module", "active_layer_depth", "", 0.0, 0.35,
-           "The emitting layer reaches down from its height by twice this share of T: a thick well region."),
+    Kind("thick_active_layer", "module", ("active_layer_thickness", "active_layer_depth"), "", 0.0, 0.35, False,
+         "The emitting layer reaches down from its height by twice this share of T: a thick well region."),
     _known("binning", "module", "chip_power_spread", "", 0.0, 0.1,
            "Powers of chips are log-normal with this spread, each sample's its own: bins of micro-LEDs."),
     _known("current_tail", "module", "current_crowding", "", 0.0, 0.6,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from itertools import product
 
 import numpy as np
@@ -135,8 +135,14 @@ def beside(found: Refitted, other: Refitted, base: Fit) -> Refitted:
 
 def is_stuck(found: Refitted, base: Fit) -> bool:
     """Whether the base fit, or this one, holds a parameter at its limit that the base fit moves and all samples have
-    in common: it went there to make up for what the model lacks."""
-    if found.fit is None or found.driven or found.candidate.is_switch or not is_smooth(found.candidate.effect):
+    in common: it went there to make up for what the model lacks.
+
+    Not where only Monte Carlo shows the effect, or another is a straight line already: the way back is the twin's.
+    """
+    effect = found.candidate.effect
+    if found.fit is None or found.driven or found.candidate.is_switch or not effect.twin:
+        return False
+    if not is_smooth(effect) and _on_lines(base.problem.predictor):
         return False
     return bool(_held(base, base) | _held(found.fit, base))
 
@@ -147,15 +153,14 @@ def unstuck(found: Refitted, base: Fit) -> Refitted:
     What the twin errs by, carried over from the corner where the base fit's anchor stands, holds a fit there. Where
     it stays at the limit about its own, too, it is begun from the model's own values: by the twin first, from there
     and from where it is; Monte Carlo is asked only where the way from there leads out of the corner, and fits about
-    as well.
+    as well. An effect with walks of its own keeps its line, from where the anchor has it.
     """
     fit = found.fit
     if fit is None:
         return found
     model = added(base.problem.model, found.candidate, found.size)
-    problem = replace(
-        fit.problem, model=model, predictor=base.problem.predictor, predict_curves=base.problem.predict_curves
-    )
+    predictor = _on_its_line(found, base.problem.predictor)
+    problem = replace(fit.problem, model=model, predictor=predictor, predict_curves=base.problem.predict_curves)
     if not has_monte_carlo(problem):
         return found
     own = about_its_own(problem, fit, found.chi2)
@@ -172,6 +177,19 @@ def unstuck(found: Refitted, base: Fit) -> Refitted:
         return found
     anew = about_its_own(problem, begun, found.chi2)
     return found if total_chi2(anew) >= found.chi2 else with_fit(found, anew)
+
+
+def _on_its_line(found: Refitted, predictor: ImagePredictor) -> ImagePredictor:
+    """The predictor, in which the effect is the straight line that it is in its fit, where it is one."""
+    frozen = None if found.fit is None else found.fit.problem.predictor
+    if is_smooth(found.candidate.effect) or not isinstance(frozen, FrozenImages):
+        return predictor
+    slopes = {path: frozen.slopes[path] for path in found.paths}
+    return FrozenImages(predictor, slopes, frozen.squares, frozen.lines)
+
+
+def _on_lines(predictor: ImagePredictor) -> bool:
+    return isinstance(predictor, FrozenImages) and bool(predictor.lines)
 
 
 def _held(found: Fit, base: Fit) -> set[str]:
@@ -229,6 +247,7 @@ def _at_its_value(found: Refitted, fit: Fit, predictor: ImagePredictor) -> Refit
     anchor, line = fit.problem.anchor, found
     if anchor is None or not anchor.histories:
         return found
+    found = replace(found, fit=replace(fit, problem=frozen_at(fit.problem, fit.values)))  # what was led out is not
     few = min(anchor.histories, ON_THE_WAY)
     for _ in range(MAX_ANCHORS):
         found = _about_its_value(found, predictor, few)
@@ -262,7 +281,8 @@ def _sloped(found: Refitted, fit: Fit, predictor: ImagePredictor, anchor: Anchor
             squared = 2.0 * fit.value(path) if path in frozen.squares else 1.0
             images = _slope(steps, views, predictor, anchor, squared)
             slopes[path] = [*images, *slopes[path][len(images) :]]
-    return replace(frozen, slopes=slopes)
+    before, own = frozen.others, {path: slopes[path] for path in found.paths if path in slopes}
+    return replace(frozen, slopes=slopes, others=None if before is None else cache(lambda: {**before(), **own}))
 
 
 def _moved(fit: Fit, path: str, by: float) -> Model:

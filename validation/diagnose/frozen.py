@@ -130,10 +130,14 @@ def slopes_of(fit: Fit) -> dict[str, list[Real]]:
 
 
 def frozen_at(problem: Problem, values: Real) -> Problem:
-    """The problem with the derivatives by its model that it has at these values, those of a second walk too."""
-    at = problem.evaluate(values)
-    slopes, others = _slopes(at, at.predicted), cache(lambda: _slopes(at, at.others()))
-    images = FrozenImages(problem.predictor, slopes, frozenset(), others=others, exit_seed=_walk(problem.anchor))
+    """The problem with the derivatives by its model that it has at these values, those of a second walk too.
+
+    Straight lines stay the lines that they are.
+    """
+    at, own = problem.evaluate(values), problem.predictor
+    lines = own if isinstance(own, FrozenImages) and own.lines else FrozenImages(own, {}, frozenset())
+    slopes, others = _slopes(at, at.predicted), cache(lambda: {**_slopes(at, at.others()), **lines.slopes})
+    images = replace(lines, slopes={**slopes, **lines.slopes}, others=others, exit_seed=_walk(problem.anchor))
     curves = problem.predict_curves
     frozen = None if curves is None else FrozenCurves(curves, slopes, frozenset(), len(problem.images))
     return replace(problem, predictor=images, predict_curves=frozen)

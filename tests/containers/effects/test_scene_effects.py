@@ -16,6 +16,7 @@ from containers.acting import Effects
 from containers.bsdf import GaussianLobe, Lambertian, Mirror, reciprocity_defect
 from containers.effect import SceneEffect
 from containers.effects.active_layer_depth import ActiveLayerDepth
+from containers.effects.active_layer_thickness import ActiveLayerThickness
 from containers.effects.chip_absorption import ChipAbsorption
 from containers.effects.chip_position_errors import ChipPositionErrors
 from containers.effects.chip_power_spread import ChipPowerSpread
@@ -31,12 +32,12 @@ from containers.effects.receiver_tilt import ReceiverTilt
 from containers.effects.receiver_volume_scatter import ReceiverVolumeScatter
 from containers.effects.substrate_leak import SubstrateLeak
 from containers.effects.substrate_lobe import SubstrateLobe
-from containers.ray_tracing.arrays import PATH
+from containers.ray_tracing.arrays import DZ, PATH
 from containers.ray_tracing.kernel import WEIGHT_OF_EXIT
 from containers.ray_tracing.monte_carlo import MonteCarlo
 from containers.ray_tracing.packing import emission_arrays
 from containers.ray_tracing.tally import Tally
-from containers.scene import Array, Scene
+from containers.scene import Array, Emission, Scene
 from luxloop.errors import InputError
 from tests.ray_scenes import N, black, exits_of, lambert_up, launched, scene, within_edges
 
@@ -158,6 +159,32 @@ def test_effects_on_the_emission_are_multiplied() -> None:
 def test_a_thin_layer_is_born_at_its_height() -> None:
     """All light starts at the same share of T."""
     assert np.all(emission_arrays(under(ActiveLayerDepth(depth=0.95), scene())).height_quantiles == 0.95)
+
+
+def test_a_thick_layers_light_is_the_mean_over_its_heights() -> None:
+    """Light that leaves upwards from a chip that absorbs: of thin layers by Gauss's rule, and of the thick one."""
+
+    def upward(of: Scene) -> float:
+        exits, _, _ = exits_of(of, count=65536)
+        return float(exits[exits[:, DZ] > 0.0, WEIGHT_OF_EXIT].sum() / 65536)
+
+    of = black(chip_changes={"absorption_per_um": 0.02})
+    thick = under(ActiveLayerThickness(reach=0.4), under(ActiveLayerDepth(depth=0.9), of))
+    nodes, weights = np.polynomial.legendre.leggauss(8)
+    thin = [upward(under(ActiveLayerDepth(depth=0.9 * (1.0 - 0.2 * (1.0 + u))), of)) for u in nodes]
+    assert thick.emission.heights == pytest.approx((0.54, 0.9))
+    assert np.ptp(thin) > 0.1 * max(thin)
+    assert upward(thick) == pytest.approx(float(weights @ thin) / 2.0, rel=3e-3)
+
+
+def test_only_a_thin_layer_reaches_down() -> None:
+    """The whole volume has no lower place to shine from, and says so; a Lambertian top has no inside."""
+    with pytest.raises(InputError, match="a thin layer to reach down from"):
+        under(ActiveLayerThickness(reach=0.2), scene())
+    both = Effects((ActiveLayerThickness(reach=0.5), ActiveLayerDepth(depth=0.8)))
+    assert both.scene(scene()).emission.heights == pytest.approx((0.4, 0.8))  # wherever the model file has them
+    top = scene(emission=Emission(from_top=True))
+    assert under(ActiveLayerThickness(reach=0.2), top).emission is top.emission
 
 
 def test_surfaces_keep_their_albedo() -> None:
