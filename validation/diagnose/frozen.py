@@ -136,8 +136,10 @@ def frozen_at(problem: Problem, values: Real) -> Problem:
     """
     at, own = problem.evaluate(values), problem.predictor
     lines = own if isinstance(own, FrozenImages) and own.lines else FrozenImages(own, {}, frozenset())
-    slopes, others = _slopes(at, at.predicted), cache(lambda: {**_slopes(at, at.others()), **lines.slopes})
-    images = replace(lines, slopes={**slopes, **lines.slopes}, others=others, exit_seed=_walk(problem.anchor))
+    names = _numbers(problem.model)
+    kept = {path: slope for path, slope in lines.slopes.items() if path in names and names[path][0] in lines.lines}
+    slopes, others = _slopes(at, at.predicted), cache(lambda: {**_slopes(at, at.others()), **kept})
+    images = replace(lines, slopes={**slopes, **kept}, others=others, exit_seed=_walk(problem.anchor))
     curves = problem.predict_curves
     frozen = None if curves is None else FrozenCurves(curves, slopes, frozenset(), len(problem.images))
     return replace(problem, predictor=images, predict_curves=frozen)

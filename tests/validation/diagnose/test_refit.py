@@ -214,6 +214,27 @@ def test_frozen_derivatives_keep_those_of_the_second_walk() -> None:
     np.testing.assert_array_equal(partly.predicted[0].jacobian_per_mm2[HALO], after.jacobian_per_mm2[HALO])
 
 
+def test_what_is_frozen_beside_a_line_keeps_the_second_walk_of_all_else() -> None:
+    """A line has one slope by either walk; the model's own parameters have two, which are not lost with it."""
+    fit_ = fit(MODEL, data(), Walks(), free=PATHS)
+    problem, path = replace(fit_.problem, anchor=Anchored(MODEL, 0)), "effects.ripple.size"
+    frozen = frozen_at(problem, fit_.values)
+    images = frozen.predictor
+    assert isinstance(images, FrozenImages)
+    line = [np.ones((view.rows, view.columns)) for view in (view_of(one, Pose()) for one in data())]
+    beside = replace(images, slopes={**images.slopes, path: line}, lines=frozenset(["ripple"]))
+    rippled = with_effect(MODEL, applied(RIPPLE, {"size": TRUTH}))
+    again = frozen_at(replace(frozen, predictor=beside, model=rippled), fit_.values).predictor
+    assert isinstance(again, FrozenImages)
+    assert again.others is not None
+    assert again.lines == {"ripple"}
+    for one, other in ((again.slopes[path], line), (again.others()[path], line)):
+        assert all(np.array_equal(*pair) for pair in zip(one, other, strict=True))
+    for own in PATHS:
+        first, second = again.slopes[own][0], again.others()[own][0]
+        np.testing.assert_allclose(second, first * 1.02 / 1.01, rtol=1e-12)
+
+
 def test_a_size_beyond_a_straight_lines_reach_is_begun_nearer(base: Fit) -> None:
     """A score that promises half of the range where a tenth of it is there: the fit ends where it would have."""
     score = score_of(base)
