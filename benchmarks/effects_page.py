@@ -63,9 +63,8 @@ def _alike(specs: Sequence[EffectSpec], maps: Sequence[Document]) -> Iterator[st
         " `luxloop next` the measurement that would tell. An effect of every chip is alike with all that 25 numbers"
         " can imitate. Where light takes other ways inside the chips with each value (side_wall_roughness,"
         " active_layer_thickness), or Monte Carlo alone represents an effect (edge_walls, receiver_tilt), it is what"
-        " two runs agree about: some noise"
-        " is left in it, and such an effect is alike with less than it is. `luxloop effects confusion DATASET --page"
-        " map.html` shows what your own data can tell."
+        " two runs agree about: some noise is left in it, and such an effect is alike with less than it is."
+        " `luxloop effects confusion DATASET --page map.html` shows what your own data can tell."
     )
     for name, one in zip(MAPS, maps, strict=True):
         yield f"![Cosines of all pairs of effects on {one['ground']}, groups boxed](images/effects/{name})"

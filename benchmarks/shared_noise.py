@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,11 +84,10 @@ def main() -> None:
     """Measure, print."""
     asked = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     asked.add_argument("--blocks", type=int, default=16, help="of 1024 histories, of each of 32 groups")
-    blocks, numbers = asked.parse_args().blocks, Exits.numbers
+    blocks = asked.parse_args().blocks
     now = shared(blocks)
-    setattr(Exits, "numbers", by_row)  # noqa: B010  # the peer is the code before
-    before = shared(blocks)
-    setattr(Exits, "numbers", numbers)  # noqa: B010
+    with patch.object(Exits, "numbers", by_row):  # the peer is the code before
+        before = shared(blocks)
     rows = [(name, f"{a:.3f}", f"{b:.3f}") for (name, _), a, b in zip(CHANGES, before, now, strict=True)]
     table("rms difference of two maps, of that of two walks", rows, ("change", "before", "now"))
 

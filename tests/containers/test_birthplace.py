@@ -79,7 +79,7 @@ def test_the_map_is_that_of_a_walk_of_its_own(name: str) -> None:
         for maps in (own - even_one, (lent - alike)[0::2])
     )
     error = np.sqrt(sum(some.var(ddof=1) / len(some) for some in (found, lent_alone)))
-    assert error < 0.15
+    assert error < 0.1
     assert found.mean() == pytest.approx(1.0, abs=4.0 * error)
     noise = {what: maps.var(axis=0, ddof=1).mean() for what, maps in (("own", own), ("lent", lent), ("even", alike))}
     weight = of.emission.position / of.emission.position.mean()

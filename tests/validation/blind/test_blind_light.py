@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 import containers.effects
+from luxloop.effect import AppliedEffect
 from luxloop.model_file import find_model
 from tests.validation.blind.truths import ARRAY, CAMERA, PAPER, SINGLE, STRAIGHT
 from tests.validation.workers import Workers
@@ -73,9 +74,19 @@ def test_the_same_seed_repeats_an_image() -> None:
     np.testing.assert_array_equal(again[0], seen()[1])
 
 
-@pytest.mark.parametrize("sample", [SINGLE, ARRAY], ids=lambda one: one.id)
-def test_plain_light_is_the_projects_monte_carlo(sample: Any, tmp_path: Path) -> None:
-    """Nothing hidden: two programs without common code agree within both noises, in a turned and shifted camera."""
+THICK = AppliedEffect(name="active_layer_thickness", parameters={"reach": 0.4 / 0.99})
+
+
+@pytest.mark.parametrize(
+    ("sample", "hidden", "effects"),
+    [(SINGLE, (), ()), (ARRAY, (), ()), (SINGLE, (Hidden("thick_active_layer", 0.2),), (THICK,))],
+    ids=["single", "array", "single, thick layer"],
+)
+def test_light_is_the_projects_monte_carlo(
+    sample: Any, hidden: tuple[Hidden, ...], effects: tuple[AppliedEffect, ...], tmp_path: Path
+) -> None:
+    """Two programs without common code agree within both noises, in a turned and shifted camera: with nothing hidden,
+    and with a layer at 0.99 T that is 0.4 T thick, which is not the light of a thin one."""
     count = 400_000
     pose = Pose(1.5, -2.25, 3.0)
     single = sample.chips == 1
@@ -88,13 +99,19 @@ def test_plain_light_is_the_projects_monte_carlo(sample: Any, tmp_path: Path) ->
         plan, CAMERA.rows, CAMERA.columns, CAMERA.pixel_um, ((CAMERA.rows - 1) / 2, (CAMERA.columns - 1) / 2),
         ViewPose((pose.shift_row_px, pose.shift_column_px), pose.rotation_deg),
     )  # fmt: skip
-    model, predictor = find_model("paper"), Predictor(Workers(tmp_path))
+    plain, predictor = find_model("paper"), Predictor(Workers(tmp_path))
+    model = plain.model_copy(update={"effects": effects})
     theirs = np.array([predictor.monte_carlo(model, [view], count, seed)[0].irradiance_per_mm2 for seed in range(4)])
-    ours = np.array([light(PAPER, [sample], CAMERA, [pose], seed=seed, histories=count)[0] for seed in range(2)])
+    ours = np.array(
+        [light(PAPER, [sample], CAMERA, [pose], hidden, seed=seed, histories=count)[0] for seed in range(2)]
+    )
     mean, other = theirs.mean(axis=0), ours.mean(axis=0)
     assert np.isclose(mean.mean(), other.mean(), rtol=2e-3)
     variance = theirs.var(axis=0, ddof=1).mean() / 4.0 + ours.var(axis=0, ddof=1).mean() / 2.0
     assert np.sqrt(np.mean((mean - other) ** 2) / variance) < 1.6
+    if hidden:
+        (thin,) = predictor.monte_carlo(plain, [view], count, 9)
+        assert np.sqrt(np.mean((thin.irradiance_per_mm2 - other) ** 2) / variance) > 4.0
 
 
 def test_every_image_effect_of_the_catalogue_is_hidden() -> None:
