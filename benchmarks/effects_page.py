@@ -31,10 +31,11 @@ def page(specs: tuple[EffectSpec, ...], facts: Mapping[str, Document], maps: Seq
     yield (
         f"The {len(specs)} effects of the catalogue, by stage: stages act in the order of this page, effects of one"
         " stage in that of the model file, but for a few that must come first or last in theirs (dispersion and"
-        " a film's missing layer first; mixing of a film's layers, the sensor's nonlinearity and saturation last)."
+        " a film's missing layer first; the thickness of the active layer, mixing of a film's layers, the sensor's"
+        " nonlinearity and saturation last)."
         " Each is a file of [containers/effects](../containers/effects), acts on what its stage may change and on"
-        " nothing else, and at its off value, where it has one, gives back the very same model. How well each is"
-        " predicted stands in [figures](figures.md#effects); `luxloop effects new NAME --stage STAGE` writes one of"
+        " nothing else, and at its off value, where it has one, gives back the very same model. How well most"
+        " are predicted stands in [figures](figures.md#effects); `luxloop effects new NAME --stage STAGE` writes one of"
         " your own."
     )
     yield (
