@@ -122,7 +122,7 @@ class Catalogue:
             field=f"effects.{applied.name}",
             value=applied.source_sha256 or applied.name,
             allowed=allowed,
-            mend=mend[:4000],
+            mend=mend,
         )
 
 

@@ -26,7 +26,7 @@ from luxloop.bus.frame import Array, decode, encode
 from luxloop.bus.keys import KEYS, at
 from luxloop.computation import Computation, Progress, Stopped
 from luxloop.errors import LuxloopError, RemoteError
-from luxloop.failure import Failure, printable
+from luxloop.failure import Failure
 from luxloop.process import orphaned, resident_mb
 from luxloop.settings import Settings
 from luxloop.store import BlobStore
@@ -171,7 +171,7 @@ class Worker:
             outcome = self._outcome(lease, result=result)
             return encode(self._done(lease, outcome), arrays, self._store.keep)
         except Exception as error:  # noqa: BLE001  a result that cannot be sent is this side's fault, not the asker's
-            return self._failed(lease, Failure(code="crashed", message=printable(str(error))[:4000], where=self.name))
+            return self._failed(lease, Failure(code="crashed", message=str(error), where=self.name))
 
     def _failed(self, lease: m.Lease, failure: Failure) -> bytes:
         return encode(self._done(lease, self._outcome(lease, failure=failure)))
