@@ -7,6 +7,7 @@ serves blobs, and sees the worker out: on SIGTERM the task in hand is finished i
 
 from __future__ import annotations
 
+import logging
 import os
 import platform
 import signal
@@ -30,6 +31,8 @@ from luxloop.failure import Failure
 from luxloop.process import orphaned, resident_mb
 from luxloop.settings import Settings
 from luxloop.store import BlobStore
+
+log = logging.getLogger(__name__)
 
 FINISH_S = 2.5
 LEAVE_S = 4.0
@@ -77,10 +80,13 @@ class Worker:
                 self._beat()
                 next_beat_s = time.monotonic() + self._settings.heartbeat_s
             event = self._inbox.take(min(0.25, max(next_beat_s - time.monotonic(), 0.001)))
-            if isinstance(event, Asked):
-                serve_piece(event, self._piece, self.name)
-            elif isinstance(event, Heard):
-                self._hear(event.frame)
+            try:
+                if isinstance(event, Asked):
+                    serve_piece(event, self._piece, self.name)
+                elif isinstance(event, Heard):
+                    self._hear(event.frame)
+            except Exception:
+                log.exception("%s: what arrived could not be handled", self.name)
             if time.monotonic() - self._stopped_s > GRACE_S and self._lease is self._stopped:
                 self._error = LuxloopError(f"{self.name}: a cancelled computation did not end within {GRACE_S:g} s")
                 return
