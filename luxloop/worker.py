@@ -56,7 +56,7 @@ class Worker:
         self._progress = Progress()
         self._stopped: m.Lease | None = None  # the attempt that was cancelled, and when
         self._stopped_s = float("inf")
-        self._error: LuxloopError | None = None
+        self._error: BaseException | None = None
 
     def run(self) -> None:
         """Work until SIGTERM or SIGINT, or until the process that it is to end with has gone."""
@@ -107,7 +107,7 @@ class Worker:
     def _work(self) -> None:
         try:
             self._pull_and_compute()
-        except LuxloopError as error:  # refused by the controller for good: the main thread ends and says why
+        except BaseException as error:  # noqa: BLE001  refused for good, or a fault: the main thread ends and says why
             self._error = error
 
     def _pull_and_compute(self) -> None:

@@ -92,3 +92,17 @@ def test_a_message_that_cannot_be_handled_is_not_the_last(
         worker._inbox.offer(Heard(worker._key("cancel"), encode(Introduce())))
     worker._attend(threading.current_thread())
     assert caplog.text.count("ArithmeticError: no words for it") == 2
+
+
+def test_a_worker_that_cannot_say_what_it_can_do_ends_with_the_reason(
+    settings: Settings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Not as one that was told to leave: its exit code is not 0, and the reason is seen."""
+
+    class Wordless(Sleepy):
+        def catalogue(self) -> dict[str, object]:
+            return {"effects": "m\udce4rz"}
+
+    monkeypatch.setattr("luxloop.worker.signal.signal", lambda *_: None)
+    with pytest.raises(ValueError, match="catalogue"):
+        Worker(Wordless(), LocalBus(LocalRouter()), settings).run()
