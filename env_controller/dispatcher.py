@@ -12,7 +12,7 @@ import time
 from collections import deque
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 from uuid import uuid4
 
@@ -177,20 +177,21 @@ class Dispatcher:
         if kind is not None and kind != key.split("/")[3]:
             raise InputError("worker", worker, f"a worker of the kind {key.split('/')[3]!r}, as its key says")
 
-    def _answer(self, asked: Asked, parcel: Parcel) -> None:
+    def _answer(self, whole: Asked, parcel: Parcel) -> None:
+        asked = replace(whole, frame=b"")  # what is held open keeps nothing of what was asked
         match message := parcel.message:
             case m.Submit():
                 self._submit(asked, message)
             case m.Pull():
                 self._pull(asked, message)
             case m.Done():
-                self._done(asked, message, parcel.arrays)
+                self._done(whole, message, parcel.arrays)
             case m.Hello():
                 self._hello(asked, message)
             case m.Withdraw():
                 self._withdraw(asked, message)
             case c.Begin():
-                self._campaigns.begin(asked, message)
+                self._campaigns.begin(whole, message)  # put once more when its journal was read
             case c.Action():
                 self._campaigns.act(asked, message)
             case c.Note():
@@ -459,13 +460,20 @@ def _going_on(what: str) -> Iterator[None]:
 
 
 def _expected(event: Asked | Heard) -> Parcel:
-    """The message and its arrays, where it is the one that its key stands for and of the key's kind of worker."""
+    """The message and its arrays, where it is the one that its key stands for and of the key's kind of worker.
+
+    Only a delivery may have arrays.
+    """
     parcel = decode(event.frame)
     message = parcel.message
     row = KEYS.get(name_of(event.key))
     if row is None or not isinstance(message, row.message):
         wanted = row.message.__name__ if row else "no message"
         raise InputError("message", type(message).__name__, f"{wanted} on the key {event.key}")
+    if parcel.arrays and not isinstance(message, m.Done):
+        raise InputError(
+            "arrays", ", ".join(parcel.arrays), f"none with a {type(message).__name__}", "leave them out"
+        )
     teller = message.task if isinstance(message, m.Submit) else getattr(message, "describe", message)
     kind = getattr(teller, "kind", None)
     if kind is not None and event.key.split("/")[3] != kind:

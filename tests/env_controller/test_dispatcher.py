@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from typing import Any
 
+import numpy as np
 import pytest
 
 from env_controller.actions import Want
@@ -378,6 +379,28 @@ class TestHostile:
         assert isinstance(failure, Failure)
         assert (failure.code, failure.field) == ("bad_input", field)
         assert desk.status().running == 0
+
+    @pytest.mark.parametrize(
+        ("row", "message"), [("submit", Submit(task=TASK, asker="me")), ("status", StatusAsked())]
+    )
+    def test_arrays_that_nobody_asked_for(self, desk: Desk, row: str, message: Words) -> None:
+        """Only a delivery has any; up to 16 MB of them would be held with the question."""
+        failure = desk.put(row, encode(message, {"map_lx": np.ones(9)})).message
+        assert isinstance(failure, Failure)
+        assert (failure.code, failure.field) == ("bad_input", "arrays")
+        assert desk.status().queued == {}
+
+    def test_a_question_that_is_held_keeps_no_frame(self, desk: Desk) -> None:
+        """Of what was asked the controller keeps the task, and how to answer."""
+        desk.hello()
+        desk.pull()
+        for asker in ("me", "them"):
+            desk.submit(asker=asker)
+        desk.hello("w2")
+        desk.pull("w2")
+        held = [one.asked for wanted in desk.controller._wanted.values() for one in wanted.waiting]
+        held += [asked for _, asked in desk.controller._polls.values()]
+        assert [asked.frame for asked in held] == [b""] * 3
 
     def test_a_key_that_is_none_of_ours(self, desk: Desk) -> None:
         """Any key, however short."""
