@@ -289,6 +289,7 @@ def test_a_results_folder_that_is_a_file_is_named(running: Set) -> None:
         (("grid", "--step", "0,0,0,0,0"), "--step: distance_um"),
         (("grid", "--step", "nan,1,1,1,1"), "--step: distance_um"),
         (("grid", "--step", "1e-3,1e-3,1e-3,1e-3,0.5"), "a grid of at most 10,000,000 designs"),
+        (("grid", "--step", "1e-310,10,50,10,0.5"), "--step: step.distance_um: got 1e-310"),
         (("grid", "--step", "20,20"), "five numbers"),
         (("designers", "compare", "--designers", "random,random"), "name each once"),
         (("designers", "compare", "--designers", ""), "--designers"),
