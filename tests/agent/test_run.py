@@ -307,6 +307,22 @@ def test_bad_options_of_other_commands_are_named(argv: tuple[str, ...], said: st
     assert said in shown.stderr
 
 
+@pytest.mark.parametrize(
+    ("command", "said"),
+    [
+        ("grid", "paper-grid (default) or paper-table3"),
+        ("campaign run", "paper-table3 (default) or paper-grid"),
+    ],
+)
+def test_help_names_the_bounds_that_are_taken_without_any(command: str, said: str, settings: Settings) -> None:
+    """A grid is the paper's entire loop, a campaign looks in Table 3."""
+    shown = subprocess.run(
+        [sys.executable, "-m", "luxloop", *command.split(), "--help"], capture_output=True, text=True, timeout=60,
+        env=as_environment(settings) | {"COLUMNS": "200"},
+    )  # fmt: skip
+    assert said in shown.stdout
+
+
 def test_a_damaged_run_does_not_hide_the_others(running: Set) -> None:
     """The list names it, and how to look at it."""
     launched(running, "sound", evaluations=5)
