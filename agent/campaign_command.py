@@ -111,7 +111,7 @@ def quick_run(
 def grid(
     run_id: Id = None,
     model: ModelName = "paper",
-    bounds: BoundsName = None,
+    bounds: Annotated[str | None, typer.Option(help="paper-grid (default) or paper-table3.")] = None,
     step: Annotated[
         str | None, typer.Option(help="Steps D,W,S,T,pairs instead of the bounds' own, e.g. 20,20,100,20,1.")
     ] = None,

@@ -27,7 +27,7 @@ from containers.effect_files import Loaded, Own, effects_in, load_folder
 from containers.reporting import Report, nothing
 from luxloop.effect import AppliedEffect, EffectSpec, check, did_you_mean, refuse_twice
 from luxloop.errors import InputError, RemoteError
-from luxloop.failure import Failure
+from luxloop.failure import Failure, printable
 from luxloop.words import parse
 
 
@@ -122,7 +122,7 @@ class Catalogue:
             field=f"effects.{applied.name}",
             value=applied.source_sha256 or applied.name,
             allowed=allowed,
-            mend=mend[:4000],
+            mend=mend,
         )
 
 
@@ -155,7 +155,7 @@ def _installed() -> Loaded:
                 raise InputError("name", own.spec.name, "a name that no other effect has", "rename it in its package")
         except (Exception, SystemExit) as error:  # noqa: BLE001  # anybody's code; the worker starts without it
             said = str(error) if isinstance(error, InputError) else f"{type(error).__name__}: {error}"
-            found.refused[point.name] = f"{where}: {said}; mend or remove the package"[:2000]
+            found.refused[point.name] = printable(f"{where}: {said}; mend or remove the package")[:2000]
         else:
             found.known[own.spec.name] = own
     return found

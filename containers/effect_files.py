@@ -88,13 +88,14 @@ def load_folder(
     found = Loaded()
     paths = [path for path in sorted(folder.glob("*.py")) if path.name[0] not in "._"]
     for number, path in enumerate(paths):
+        name = printable(path.name)
         if number >= MOST_FILES:
-            found.refused[path.name] = f"{path.name}: more than {MOST_FILES} files; take some out of the folder"
+            found.refused[name] = f"{name}: more than {MOST_FILES} files; take some out of the folder"
             continue
         try:
             _load(path, before, taken, found, limit_s, report)
         except InputError as error:
-            found.refused[path.name] = f"{path.name}: {error}"
+            found.refused[name] = printable(f"{name}: {error}")
     return found
 
 

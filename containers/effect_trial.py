@@ -25,6 +25,7 @@ from containers.effect_files import LIMIT_S, effect_of, module_of
 from containers.effect_findings import findings_of
 from luxloop.effect import EffectSpec
 from luxloop.errors import InputError
+from luxloop.failure import printable
 
 MEMORY_BYTES = 8 << 30
 """Of address space: most of it is what the libraries reserve and never touch."""
@@ -50,7 +51,7 @@ def main() -> None:
     out = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)
     for check, ok, said in trial(source, path.name):
-        out.write(json.dumps({"check": check, "ok": ok, "said": said[:2000]}) + "\n")
+        out.write(json.dumps({"check": check, "ok": ok, "said": printable(said)[:2000]}) + "\n")
         out.flush()
     os._exit(0)  # threads that the file left running end with it
 

@@ -10,8 +10,9 @@ import logging
 import threading
 import time
 from collections import deque
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 from uuid import uuid4
 
@@ -29,7 +30,7 @@ from luxloop import messages as m
 from luxloop.bus import Asked, Bus, Event, Heard, Inbox, Presence
 from luxloop.bus.frame import Array, Parcel, decode, encode, reframe
 from luxloop.bus.keys import HOLD_S, KEYS, at, last_part, name_of
-from luxloop.errors import InputError, LuxloopError, RemoteError
+from luxloop.errors import InputError, LuxloopError, RemoteError, shortened
 from luxloop.failure import Failure
 from luxloop.process import resident_mb
 from luxloop.settings import Settings
@@ -38,6 +39,7 @@ from luxloop.words import Words
 log = logging.getLogger(__name__)
 
 TICK_S = 0.25
+WHY_CHARACTERS = 500  # kept of why an attempt crashed: a compiler's message has pages
 ORPHAN_S = 30.0  # who has not asked again for so long has gone; a task that nobody else wants is withdrawn
 QUESTIONS = ("submit", "withdraw", "status", "hello", "pull", "done", "begin", "act", "note", "end")
 STARTING_S = 300.0  # how long a run waits for a worker to appear: one that starts compiles for a minute
@@ -116,15 +118,25 @@ class Dispatcher:
             if event is not None:
                 self.take(event)
             if time.monotonic() >= next_tick_s:
-                self._tick()
+                with _going_on("a tick"):
+                    self._tick()
                 next_tick_s = time.monotonic() + TICK_S
 
     def take(self, event: Event) -> None:
-        """Handle one thing that arrived; whatever is wrong with it is answered, and the controller goes on."""
+        """Handle one thing that arrived; whatever is wrong with it is answered or logged, and the controller goes on.
+
+        Raises RemoteError where a later controller has taken over.
+        """
         if isinstance(event, Presence):
-            self._notice(event)
+            self._give_way(event)
+            with _going_on(event.key):
+                self._notice(event)
+        else:
+            self._handle(event)
+        with _going_on("what runs are told"):
             self._tell_runs()
-            return
+
+    def _handle(self, event: Asked | Heard) -> None:
         try:
             parcel = _expected(event)
             self._refuse_another_kind(event.key, parcel.message)
@@ -139,17 +151,20 @@ class Dispatcher:
             log.exception("a %s on %s could not be handled", type(event).__name__, event.key)
             if isinstance(event, Asked):
                 event.reply(Failure.of(error, "controller"))
-        self._tell_runs()
+
+    def _give_way(self, presence: Presence) -> None:
+        """Raises RemoteError where another controller's token appeared that began later: that one goes on."""
+        name = last_part(presence.key)
+        if "/alive/controller/" in presence.key and presence.alive and name > self.epoch:
+            raise _taken_over(name)
 
     def _notice(self, presence: Presence) -> None:
-        """A worker's token vanished; or another controller's appeared: the one that began later goes on."""
+        """A worker's token vanished."""
         name, kind = last_part(presence.key), presence.key.split("/")[-2]
-        if "/alive/controller/" in presence.key:
-            if presence.alive and name > self.epoch:
-                raise _taken_over(name)
-        elif not presence.alive and self._roster.kind_of(name) in (None, kind):
-            self._roster.strike(name)
+        worker = "/alive/worker/" in presence.key
+        if worker and not presence.alive and self._roster.kind_of(name) in (None, kind):
             blame = self._bus.connected()
+            self._roster.strike(name)
             self._perform(self.core.handle(e.Left(time.monotonic(), name, blame=blame)))
 
     def _refuse_another_kind(self, key: str, message: Words) -> None:
@@ -162,20 +177,21 @@ class Dispatcher:
         if kind is not None and kind != key.split("/")[3]:
             raise InputError("worker", worker, f"a worker of the kind {key.split('/')[3]!r}, as its key says")
 
-    def _answer(self, asked: Asked, parcel: Parcel) -> None:
+    def _answer(self, whole: Asked, parcel: Parcel) -> None:
+        asked = replace(whole, frame=b"")  # what is held open keeps nothing of what was asked
         match message := parcel.message:
             case m.Submit():
                 self._submit(asked, message)
             case m.Pull():
                 self._pull(asked, message)
             case m.Done():
-                self._done(asked, message, parcel.arrays)
+                self._done(whole, message, parcel.arrays)
             case m.Hello():
                 self._hello(asked, message)
             case m.Withdraw():
                 self._withdraw(asked, message)
             case c.Begin():
-                self._campaigns.begin(asked, message)
+                self._campaigns.begin(whole, message)  # put once more when its journal was read
             case c.Action():
                 self._campaigns.act(asked, message)
             case c.Note():
@@ -306,7 +322,7 @@ class Dispatcher:
             outcome = sound(wanted.task, outcome, arrays)
         self._delivery, self._failure = reframe(asked.frame, outcome), outcome.failure
         verdict = "done" if outcome.failure is None else "refused" if outcome.failure.code in FINAL else "crashed"
-        reason = outcome.failure.text() if outcome.failure else ""
+        reason = shortened(outcome.failure.text(), WHY_CHARACTERS) if outcome.failure else ""
         receipt = self._perform(
             self.core.handle(
                 e.Delivered(now, done.worker, outcome.task_id, done.attempt, done.epoch, verdict, reason)  # type: ignore[arg-type]  # one of the three literals above
@@ -373,7 +389,7 @@ class Dispatcher:
 
     def _finish(self, finish: e.Finish) -> None:
         """Give the outcome to everybody who waits for it; keep a result for those who ask again."""
-        wanted = self._wanted.pop(finish.task_id)
+        wanted = self._wanted[finish.task_id]
         if finish.code in ("done", "refused"):
             frame = self._delivery
             if finish.code == "done":
@@ -385,6 +401,7 @@ class Dispatcher:
                     failure=failure_of(finish, wanted.task.kind, wanted.limit_s, self._failure),
                 )
             )
+        del self._wanted[finish.task_id]
         for waiting in wanted.waiting:
             waiting.asked.answer(frame)
         if wanted.by_runs:
@@ -433,14 +450,30 @@ class Dispatcher:
         )
 
 
+@contextmanager
+def _going_on(what: str) -> Iterator[None]:
+    """What is wrong inside is logged, and ends nothing."""
+    try:
+        yield
+    except Exception:
+        log.exception("%s: something could not be handled", what)
+
+
 def _expected(event: Asked | Heard) -> Parcel:
-    """The message and its arrays, where it is the one that its key stands for and of the key's kind of worker."""
+    """The message and its arrays, where it is the one that its key stands for and of the key's kind of worker.
+
+    Only a delivery may have arrays.
+    """
     parcel = decode(event.frame)
     message = parcel.message
     row = KEYS.get(name_of(event.key))
     if row is None or not isinstance(message, row.message):
         wanted = row.message.__name__ if row else "no message"
         raise InputError("message", type(message).__name__, f"{wanted} on the key {event.key}")
+    if parcel.arrays and not isinstance(message, m.Done):
+        raise InputError(
+            "arrays", ", ".join(parcel.arrays), f"none with a {type(message).__name__}", "leave them out"
+        )
     teller = message.task if isinstance(message, m.Submit) else getattr(message, "describe", message)
     kind = getattr(teller, "kind", None)
     if kind is not None and event.key.split("/")[3] != kind:

@@ -25,7 +25,7 @@ def sound(task: Task, outcome: Outcome, arrays: Mapping[str, Array]) -> Outcome:
         return outcome
     failure = Failure(
         code="crashed",
-        message=f"the answer of {outcome.worker or 'a worker'} does not hold: {why}"[:4000],
+        message=f"the answer of {outcome.worker or 'a worker'} does not hold: {why}",
         mend="stop that worker; luxloop doctor says which releases run",
         where="controller",
     )

@@ -23,6 +23,7 @@ from luxloop.errors import InputError
 from luxloop.words import Words
 
 CLEARANCE_UM = 5.0
+MOST_VALUES = 1_000_000  # of one variable on a grid
 LENGTH_DECIMALS = 6  # of a um: a design that comes out of [-1, 1] is the one that went in, to a picometre
 
 
@@ -98,8 +99,9 @@ class Bounds(Words):
             low, high, step = (getattr(end, name) for end in (self.low, self.high, self.step))
             if low > high:
                 raise InputError(f"low.{name}", low, f"up to high.{name} = {high:g}", "exchange the two")
-            if step == 0.0:
-                raise InputError(f"step.{name}", step, "above 0", "fix a variable by low = high instead")
+            if high - low >= MOST_VALUES * step:
+                mend = f"a grid has at most {MOST_VALUES:,} values of each variable; low = high fixes one"
+                raise InputError(f"step.{name}", step, f"above {(high - low) / MOST_VALUES:g}", mend)
         return self
 
     def contains(self, design: Design) -> bool:
@@ -131,14 +133,18 @@ class Bounds(Words):
 
     def values(self, name: str) -> tuple[float, ...]:
         """The values of one variable on the grid, from `low` upwards in steps, `high` included where it is met."""
+        low, step = float(getattr(self.low, name)), float(getattr(self.step, name))
+        return tuple(round(low + i * step, LENGTH_DECIMALS) for i in range(self._size(name)))
+
+    def _size(self, name: str) -> int:
+        """How many values that are."""
         low, high, step = (float(getattr(end, name)) for end in (self.low, self.high, self.step))
-        count = math.floor((high - low) / step + 1e-9) + 1
-        return tuple(round(low + i * step, LENGTH_DECIMALS) for i in range(count))
+        return math.floor((high - low) / step + 1e-9) + 1
 
     @property
     def count(self) -> int:
         """How many designs the grid holds, infeasible ones included."""
-        return math.prod(len(self.values(name)) for name in Design.FIELDS)
+        return math.prod(map(self._size, Design.FIELDS))
 
     def grid(self) -> Iterator[Design]:
         """The designs of the grid one after the other, the last variable (pairs) fastest."""

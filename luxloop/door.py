@@ -106,8 +106,8 @@ class RunDoor:
     def _gone(self, why: str) -> Failure:
         return Failure(
             code="worker_lost",
-            message=printable(f"the controller ended, and the run {self.run!r} with it ({why}); every step that was"
-                              f" told is safe in {self.begun.folder}"),
+            message=f"the controller ended, and the run {self.run!r} with it ({why}); every step that was told is"
+                    f" safe in {self.begun.folder}",
             mend="run it again" if self._begin.plan.kind == "validation" else f"luxloop campaign resume {self.run}",
         )  # fmt: skip
 

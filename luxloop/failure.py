@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
-from luxloop.errors import InputError, shown
+from pydantic import BeforeValidator
+
+from luxloop.errors import InputError, shortened, shown
 from luxloop.words import Text, Words
 
 Code = Literal[
@@ -26,17 +28,30 @@ Code = Literal[
 ]
 
 
+def printable(text: str) -> str:
+    """`text` with what cannot be encoded replaced: file names and exception texts may hold anything."""
+    return text.encode(errors="replace").decode()
+
+
+def _told(value: object) -> object:
+    return shortened(printable(value), 4000) if isinstance(value, str) else value
+
+
+Told = Annotated[Text, BeforeValidator(_told)]
+"""A text that is made printable and cut short, never refused: else who asked would not be told anything."""
+
+
 class Failure(Words):
     """Why something could not be done, typed: `code` for machines, the rest for a person."""
 
     code: Code
-    message: Text
-    field: Text = ""
-    value: Text = ""
-    allowed: Text = ""
-    mend: Text = ""
-    where: Text = ""
-    history: tuple[Text, ...] = ()
+    message: Told
+    field: Told = ""
+    value: Told = ""
+    allowed: Told = ""
+    mend: Told = ""
+    where: Told = ""
+    history: tuple[Told, ...] = ()
 
     def text(self) -> str:
         """One line for a person: what, where, the mend, and what was tried before."""
@@ -48,12 +63,6 @@ class Failure(Words):
     def of(cls, error: BaseException, where: str = "") -> Failure:
         """An exception as a message: `InputError` keeps its fields, anything else is a crash of that side."""
         if isinstance(error, InputError):
-            fields = {name: printable(str(getattr(error, name)))[:4000] for name in ("field", "allowed", "mend")}
-            said = {"message": printable(str(error))[:4000], "value": shown(error.value, 200)}
-            return cls(code="bad_input", **fields, **said, where=where)
-        return cls(code="crashed", message=printable(f"{type(error).__name__}: {error}")[:4000], where=where)
-
-
-def printable(text: str) -> str:
-    """`text` with what cannot be encoded replaced: file names and exception texts may hold anything."""
-    return text.encode(errors="replace").decode()
+            fields = {name: str(getattr(error, name)) for name in ("field", "allowed", "mend")}
+            return cls(code="bad_input", message=str(error), value=shown(error.value, 200), where=where, **fields)
+        return cls(code="crashed", message=f"{type(error).__name__}: {error}", where=where)

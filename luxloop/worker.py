@@ -7,6 +7,7 @@ serves blobs, and sees the worker out: on SIGTERM the task in hand is finished i
 
 from __future__ import annotations
 
+import logging
 import os
 import platform
 import signal
@@ -19,30 +20,19 @@ from uuid import uuid4
 import numpy as np
 
 from luxloop import __version__
+from luxloop import messages as m
 from luxloop.bus import Asked, Bus, Heard, Inbox, Interrupt, ask_for
 from luxloop.bus.blobs import serve_piece
 from luxloop.bus.frame import Array, decode, encode
 from luxloop.bus.keys import KEYS, at
 from luxloop.computation import Computation, Progress, Stopped
 from luxloop.errors import LuxloopError, RemoteError
-from luxloop.failure import Failure, printable
-from luxloop.messages import (
-    Cancel,
-    Describe,
-    Done,
-    Heartbeat,
-    Held,
-    Hello,
-    Introduce,
-    Lease,
-    Outcome,
-    Pull,
-    Receipt,
-    Welcome,
-)
+from luxloop.failure import Failure
 from luxloop.process import orphaned, resident_mb
 from luxloop.settings import Settings
 from luxloop.store import BlobStore
+
+log = logging.getLogger(__name__)
 
 FINISH_S = 2.5
 LEAVE_S = 4.0
@@ -61,12 +51,12 @@ class Worker:
         self._inbox = Inbox()
         self._epoch = ""
         self._leaving = Interrupt()
-        self._lease: Lease | None = None
+        self._lease: m.Lease | None = None
         self._began_s = 0.0
         self._progress = Progress()
-        self._stopped: Lease | None = None  # the attempt that was cancelled, and when
+        self._stopped: m.Lease | None = None  # the attempt that was cancelled, and when
         self._stopped_s = float("inf")
-        self._error: LuxloopError | None = None
+        self._error: BaseException | None = None
 
     def run(self) -> None:
         """Work until SIGTERM or SIGINT, or until the process that it is to end with has gone."""
@@ -90,10 +80,13 @@ class Worker:
                 self._beat()
                 next_beat_s = time.monotonic() + self._settings.heartbeat_s
             event = self._inbox.take(min(0.25, max(next_beat_s - time.monotonic(), 0.001)))
-            if isinstance(event, Asked):
-                serve_piece(event, self._piece, self.name)
-            elif isinstance(event, Heard):
-                self._hear(event.frame)
+            try:
+                if isinstance(event, Asked):
+                    serve_piece(event, self._piece, self.name)
+                elif isinstance(event, Heard):
+                    self._hear(event.frame)
+            except Exception:
+                log.exception("%s: what arrived could not be handled", self.name)
             if time.monotonic() - self._stopped_s > GRACE_S and self._lease is self._stopped:
                 self._error = LuxloopError(f"{self.name}: a cancelled computation did not end within {GRACE_S:g} s")
                 return
@@ -114,11 +107,11 @@ class Worker:
     def _work(self) -> None:
         try:
             self._pull_and_compute()
-        except LuxloopError as error:  # refused by the controller for good: the main thread ends and says why
+        except BaseException as error:  # noqa: BLE001  refused for good, or a fault: the main thread ends and says why
             self._error = error
 
     def _pull_and_compute(self) -> None:
-        lease: Lease | None = None
+        lease: m.Lease | None = None
         while not self._leaving.is_set():
             lease = lease or self._pull()
             if lease is None:
@@ -128,16 +121,16 @@ class Worker:
         if lease is not None:
             self._hand_back(lease)
 
-    def _pull(self) -> Lease | None:
+    def _pull(self) -> m.Lease | None:
         """The next lease, or None: nothing to do, nobody there (after a short wait), or leaving."""
         try:
             if not self._epoch:
                 self._epoch = self._say_hello()
-            pull = Pull(worker=self.name, kind=self._kind, epoch=self._epoch)
+            pull = m.Pull(worker=self.name, kind=self._kind, epoch=self._epoch)
             message = ask_for(
                 self._bus, self._key("pull"), pull, KEYS["pull"].time_limit_s, cancelled=self._leaving
             ).message
-            return message if isinstance(message, Lease) else None
+            return message if isinstance(message, m.Lease) else None
         except RemoteError as error:
             if error.failure.code == "stale":
                 self._epoch = ""
@@ -147,9 +140,9 @@ class Worker:
             self._leaving.wait(0.3)
             return None
 
-    def _say_hello(self, holding: Lease | None = None) -> str:
+    def _say_hello(self, holding: m.Lease | None = None) -> str:
         """Introduce this worker, with what it computes at the moment; the controller's epoch."""
-        describe = Describe(
+        describe = m.Describe(
             worker=self.name,
             kind=self._kind,
             version=__version__,
@@ -157,12 +150,12 @@ class Worker:
             pid=os.getpid(),
             catalogue=self._computation.catalogue(),
         )
-        held = [Held(task_id=o.task.id, attempt=o.attempt, epoch=o.epoch) for o in [holding] if o is not None]
-        hello = Hello(describe=describe, holding=tuple(held))
+        held = [m.Held(task_id=o.task.id, attempt=o.attempt, epoch=o.epoch) for o in [holding] if o is not None]
+        hello = m.Hello(describe=describe, holding=tuple(held))
         key = at(self._realm, "hello", kind=self._kind)
-        return ask_for(self._bus, key, hello, KEYS["hello"].time_limit_s).expect(Welcome).epoch
+        return ask_for(self._bus, key, hello, KEYS["hello"].time_limit_s).expect(m.Welcome).epoch
 
-    def _attempt(self, lease: Lease) -> bytes | None:
+    def _attempt(self, lease: m.Lease) -> bytes | None:
         """Compute a lease; the frame to deliver, or None where it was stopped."""
         self._progress = Progress()
         self._began_s, self._lease = time.monotonic(), lease
@@ -184,13 +177,15 @@ class Worker:
             outcome = self._outcome(lease, result=result)
             return encode(self._done(lease, outcome), arrays, self._store.keep)
         except Exception as error:  # noqa: BLE001  a result that cannot be sent is this side's fault, not the asker's
-            return self._failed(lease, Failure(code="crashed", message=printable(str(error))[:4000], where=self.name))
+            return self._failed(lease, Failure(code="crashed", message=str(error), where=self.name))
 
-    def _failed(self, lease: Lease, failure: Failure) -> bytes:
+    def _failed(self, lease: m.Lease, failure: Failure) -> bytes:
         return encode(self._done(lease, self._outcome(lease, failure=failure)))
 
-    def _outcome(self, lease: Lease, result: dict[str, Any] | None = None, failure: Failure | None = None) -> Outcome:
-        return Outcome(
+    def _outcome(
+        self, lease: m.Lease, result: dict[str, Any] | None = None, failure: Failure | None = None
+    ) -> m.Outcome:
+        return m.Outcome(
             task_id=lease.task.id,
             result=result,
             failure=failure,
@@ -199,23 +194,25 @@ class Worker:
             compute_s=time.monotonic() - self._began_s,
         )
 
-    def _done(self, lease: Lease, outcome: Outcome) -> Done:
-        return Done(
+    def _done(self, lease: m.Lease, outcome: m.Outcome | None) -> m.Done:
+        """The delivery of what came of a lease; without an outcome the lease is handed back."""
+        return m.Done(
             worker=self.name,
             kind=self._kind,
             attempt=lease.attempt,
             epoch=lease.epoch,
             outcome=outcome,
+            handed_back=None if outcome else lease.task.id,
             wants_next=not self._leaving.is_set(),
         )
 
-    def _deliver(self, lease: Lease, done: bytes) -> Lease | None:
+    def _deliver(self, lease: m.Lease, done: bytes) -> m.Lease | None:
         """Put a result again and again until the controller has it or will never want it; the next lease if given."""
-        receipt: Receipt | None = None
+        receipt: m.Receipt | None = None
         give_up_s = float("inf")
         while receipt is None and time.monotonic() < give_up_s:
             try:
-                receipt = ask_for(self._bus, self._key("done"), done, KEYS["done"].time_limit_s).expect(Receipt)
+                receipt = ask_for(self._bus, self._key("done"), done, KEYS["done"].time_limit_s).expect(m.Receipt)
             except RemoteError as error:
                 if error.failure.code not in WAITABLE:  # it will never be taken as it is: say so instead
                     done = self._failed(lease, error.failure)
@@ -225,18 +222,15 @@ class Worker:
         self._lease = None
         return receipt.next if receipt else None
 
-    def _hand_back(self, lease: Lease) -> None:
-        back = Done(
-            worker=self.name, kind=self._kind, attempt=lease.attempt, epoch=lease.epoch, handed_back=lease.task.id
-        )
+    def _hand_back(self, lease: m.Lease) -> None:
         try:
-            ask_for(self._bus, self._key("done"), back, 1.0)
+            ask_for(self._bus, self._key("done"), self._done(lease, None), 1.0)
         except LuxloopError:  # the vanishing token will say it
             return
 
     def _beat(self) -> None:
         lease = self._lease
-        beat = Heartbeat(
+        beat = m.Heartbeat(
             worker=self.name,
             kind=self._kind,
             task_id=lease.task.id if lease else None,
@@ -253,13 +247,13 @@ class Worker:
         """The controller says: drop an attempt, or introduce yourself with what you hold."""
         try:
             message = decode(frame).message
-            if isinstance(message, Introduce):
+            if isinstance(message, m.Introduce):
                 self._epoch = self._say_hello(self._lease)
         except LuxloopError:
             return  # not a message of ours, or nobody there to say hello to: the next beat is answered again
         lease = self._lease
         if (
-            isinstance(message, Cancel)
+            isinstance(message, m.Cancel)
             and lease is not None
             and (lease.task.id, lease.attempt) == (message.task_id, message.attempt)
         ):

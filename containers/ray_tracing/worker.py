@@ -114,7 +114,7 @@ class RayComputation:
             raise RemoteError(
                 Failure(
                     code="not_found",
-                    message=f"nobody holds the film table {film.sha256} ({error.failure.message})"[:4000],
+                    message=f"nobody holds the film table {film.sha256} ({error.failure.message})",
                     field="film",
                     value=film.sha256,
                     mend="ask the thin-film worker for the table again, then for this",

@@ -16,7 +16,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from luxloop.errors import LuxloopError, RemoteError
-from luxloop.failure import Code, Failure, printable
+from luxloop.failure import Code, Failure
 from luxloop.journal.chain import Mark
 from luxloop.journal.reader import number_of, segments_of, tail_of
 from luxloop.journal.segment import Segment, being_written, sync_folder
@@ -153,7 +153,7 @@ def _tell(done: Done, error: RemoteError | None) -> None:
 
 
 def _failure(message: str, mend: str, code: Code = "refused") -> RemoteError:
-    return RemoteError(Failure(code=code, message=printable(message), mend=mend, where="journal"))
+    return RemoteError(Failure(code=code, message=message, mend=mend, where="journal"))
 
 
 def _not_written(folder: Path, error: OSError) -> RemoteError:

@@ -289,6 +289,7 @@ def test_a_results_folder_that_is_a_file_is_named(running: Set) -> None:
         (("grid", "--step", "0,0,0,0,0"), "--step: distance_um"),
         (("grid", "--step", "nan,1,1,1,1"), "--step: distance_um"),
         (("grid", "--step", "1e-3,1e-3,1e-3,1e-3,0.5"), "a grid of at most 10,000,000 designs"),
+        (("grid", "--step", "1e-310,10,50,10,0.5"), "--step: step.distance_um: got 1e-310"),
         (("grid", "--step", "20,20"), "five numbers"),
         (("designers", "compare", "--designers", "random,random"), "name each once"),
         (("designers", "compare", "--designers", ""), "--designers"),
@@ -304,6 +305,22 @@ def test_bad_options_of_other_commands_are_named(argv: tuple[str, ...], said: st
     )  # fmt: skip
     assert shown.returncode == 2, shown.stderr
     assert said in shown.stderr
+
+
+@pytest.mark.parametrize(
+    ("command", "said"),
+    [
+        ("grid", "paper-grid (default) or paper-table3"),
+        ("campaign run", "paper-table3 (default) or paper-grid"),
+    ],
+)
+def test_help_names_the_bounds_that_are_taken_without_any(command: str, said: str, settings: Settings) -> None:
+    """A grid is the paper's entire loop, a campaign looks in Table 3."""
+    shown = subprocess.run(
+        [sys.executable, "-m", "luxloop", *command.split(), "--help"], capture_output=True, text=True, timeout=60,
+        env=as_environment(settings) | {"COLUMNS": "200"},
+    )  # fmt: skip
+    assert said in shown.stdout
 
 
 def test_a_damaged_run_does_not_hide_the_others(running: Set) -> None:

@@ -18,6 +18,7 @@ from containers.effect_trial import trial
 from luxloop.computation import Stopped
 from luxloop.effect import AppliedEffect
 from luxloop.errors import InputError, RemoteError
+from luxloop.messages import Describe
 
 GOOD = '''
 from dataclasses import replace
@@ -129,6 +130,20 @@ def test_a_broken_file_is_refused_with_reason_and_mend(source: str, said: tuple[
     assert reason.startswith("mine.py: ")
     for part in said:
         assert part in reason
+
+
+def test_names_and_words_that_are_no_utf_8_can_be_told(tmp_path: Path) -> None:
+    """A file named in Latin-1, and one whose error has such a name in it: each is refused, the worker says so."""
+    try:
+        (tmp_path / os.fsdecode(b"m\xe4rz.py")).write_text("x = 1\n")
+    except OSError:
+        pytest.skip("this disk takes UTF-8 names only")
+    (tmp_path / "mine.py").write_text(r"raise ValueError('m\udce4rz')")
+    catalogue = told(Catalogue(tmp_path))
+    describe = Describe(worker="w", kind="film", version="1", host="h", pid=1, catalogue=catalogue)
+    refused = describe.catalogue["refused_effects"]
+    assert "rename it" in refused["m?rz.py"]
+    assert "ValueError in line 1: m?rz" in refused["mine.py"]
 
 
 SCENE = '''

@@ -58,6 +58,19 @@ def test_an_answer_that_cannot_be_is_tried_again_elsewhere(desk: Desk, result: A
     assert desk.evaluated(1, move=Move(variable="width_um", steps=1)).failure is None
 
 
+def test_a_crash_of_many_words_is_a_step_that_failed(desk: Desk) -> None:
+    """A compiler's pages, three times: the run goes on without that design."""
+    desk.begin()
+    question = desk.act()
+    for _ in range(3):
+        desk.work("film", failure=Failure.of(RuntimeError("x" * 5000)))
+    step = question.wait()
+    assert isinstance(step, Step)
+    assert step.failure is not None
+    assert step.failure.code == "crashed"
+    assert desk.evaluated(1, move=Move(variable="width_um", steps=1)).failure is None
+
+
 @pytest.mark.parametrize(
     "result",
     [

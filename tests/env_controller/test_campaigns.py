@@ -16,7 +16,7 @@ from env_controller.trials import Past
 from luxloop.bus import Asked, Presence
 from luxloop.bus.frame import decode, encode
 from luxloop.bus.keys import HOLD_S, at
-from luxloop.campaign import Action, AgentRecord, Begin, Begun, Ended, Move, Note, Step
+from luxloop.campaign import Action, AgentRecord, Begin, Begun, End, Ended, Move, Note, Step
 from luxloop.errors import RemoteError
 from luxloop.failure import Failure
 from luxloop.journal.journal import Journal
@@ -167,6 +167,15 @@ def test_an_end_asked_twice_is_one(desk: Desk) -> None:
     desk.begin()
     assert desk.end() == desk.end()
     assert refusal(desk.end(designer="other")).code == "not_found"
+
+
+def test_a_run_may_end_for_a_reason_of_4000_letters(desk: Desk) -> None:
+    """Who waits in one of its lanes is told so in fewer."""
+    desk.begin()
+    waits = desk.act()
+    ended = desk.put("end", End(run="one", designer="d", reason="x" * 4000), name="one").message
+    assert isinstance(ended, Ended)
+    assert refusal(waits.message).code == "refused"
 
 
 def test_what_the_controller_kept_of_an_earlier_run_costs_a_later_one_nothing(desk: Desk, tmp_path: Path) -> None:

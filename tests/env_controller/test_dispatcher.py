@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import threading
 from typing import Any
 
+import numpy as np
 import pytest
 
 from env_controller.actions import Want
@@ -378,6 +380,28 @@ class TestHostile:
         assert (failure.code, failure.field) == ("bad_input", field)
         assert desk.status().running == 0
 
+    @pytest.mark.parametrize(
+        ("row", "message"), [("submit", Submit(task=TASK, asker="me")), ("status", StatusAsked())]
+    )
+    def test_arrays_that_nobody_asked_for(self, desk: Desk, row: str, message: Words) -> None:
+        """Only a delivery has any; up to 16 MB of them would be held with the question."""
+        failure = desk.put(row, encode(message, {"map_lx": np.ones(9)})).message
+        assert isinstance(failure, Failure)
+        assert (failure.code, failure.field) == ("bad_input", "arrays")
+        assert desk.status().queued == {}
+
+    def test_a_question_that_is_held_keeps_no_frame(self, desk: Desk) -> None:
+        """Of what was asked the controller keeps the task, and how to answer."""
+        desk.hello()
+        desk.pull()
+        for asker in ("me", "them"):
+            desk.submit(asker=asker)
+        desk.hello("w2")
+        desk.pull("w2")
+        held = [one.asked for wanted in desk.controller._wanted.values() for one in wanted.waiting]
+        held += [asked for _, asked in desk.controller._polls.values()]
+        assert [asked.frame for asked in held] == [b""] * 3
+
     def test_a_key_that_is_none_of_ours(self, desk: Desk) -> None:
         """Any key, however short."""
         question = Question("x", encode(StatusAsked()))
@@ -407,6 +431,60 @@ class TestHostile:
         assert failure.code == "busy"
         assert "LUXLOOP_QUEUE_TASKS" in failure.mend
         assert desk.submit(asker="another").message is None  # the same task is no second one
+
+
+class TestGoingOn:
+    """What nobody foresaw is told to its asker, or logged; the controller goes on."""
+
+    @pytest.mark.parametrize("last", ["crashed", "worker_lost", "gone"])
+    def test_a_crash_of_many_words_is_told_in_fewer(self, monkeypatch: pytest.MonkeyPatch, last: str) -> None:
+        """A compiler may write pages: the third attempt crashes too, falls silent, or loses its worker."""
+        desk = Desk(monkeypatch, silence_s=3.0)
+        submit = desk.submit()
+        desk.hello()
+        for attempt in (1, 2, 3):
+            desk.pull()
+            if attempt < 3 or last == "crashed":
+                desk.done(attempt=attempt, failure=Failure.of(RuntimeError("x" * 5000), "w1"))
+        if last == "gone":
+            desk.take(Presence(at("luxloop", "alive", role="worker", kind="film", name="w1"), alive=False))
+        desk.wait(4.0 if last == "worker_lost" else 0.25)
+        assert isinstance(submit.message, Outcome)
+        failure = submit.message.failure
+        assert failure is not None
+        assert failure.code == ("crashed" if last == "crashed" else "worker_lost")
+        assert len(failure.history) == 3
+        assert max(map(len, failure.history)) < 600
+        assert max(map(len, desk.controller.core.story(TASK.id))) < 600
+
+    def test_a_tick_that_fails_is_not_the_last(self, desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+        """The second one, a moment later, is as any other."""
+        ticks, stop = [], threading.Event()
+
+        def tick(now_s: float) -> None:
+            ticks.append(now_s)
+            if len(ticks) == 2:
+                stop.set()
+            raise RuntimeError("no room")
+
+        monkeypatch.setattr(desk.controller._campaigns, "tick", tick)
+        monkeypatch.setattr("env_controller.dispatcher.TICK_S", 0.0)
+        desk.controller._serve(stop)
+        assert len(ticks) == 2
+
+    def test_a_token_that_cannot_be_looked_up_ends_nothing(
+        self, desk: Desk, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+    ) -> None:
+        """It is logged; the task goes elsewhere once its worker is silent."""
+        desk.hello()
+        desk.submit()
+        desk.pull()
+        with monkeypatch.context() as broken:
+            broken.setattr(desk.bus, "connected", lambda: 1 // 0)
+            desk.take(Presence(at("luxloop", "alive", role="worker", kind="film", name="w1"), alive=False))
+        assert "ZeroDivisionError" in caplog.text
+        desk.wait(10.0)
+        assert desk.status().queued == {"film": 1}
 
 
 def test_a_later_controller_takes_over(desk: Desk) -> None:

@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 import pytest
 
-from luxloop.bus import Asked, Bus, Heard, Inbox, Interrupt, Presence, ask_for
+from luxloop.bus import Asked, Bus, Heard, Inbox, Interrupt, Presence, ask_for, busy, too_large
 from luxloop.bus.frame import FRAME_BYTES, decode, encode
 from luxloop.bus.keys import at
 from luxloop.bus.zenoh_bus import ZenohBus
@@ -216,6 +216,12 @@ def test_presence_is_kept_when_the_inbox_is_full() -> None:
     assert not inbox.offer(Heard("k", b""))
     assert inbox.offer(Presence("k", alive=False))
     assert [inbox.take(0.1), inbox.take(0.1)] == [Heard("k", b""), Presence("k", alive=False)]
+
+
+def test_what_a_bus_refuses_may_have_a_key_of_any_length() -> None:
+    """`busy` and `too_large` name it as far as there is room."""
+    for frame in (busy("k" * 5000), too_large(20, 16, "k" * 5000)):
+        assert decode(frame).expect(Failure).where.startswith("kkk")
 
 
 def test_a_too_large_request_is_answered_and_the_server_goes_on(new_bus: NewBus) -> None:

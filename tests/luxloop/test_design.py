@@ -165,13 +165,21 @@ def test_a_variable_can_be_held_fixed() -> None:
     assert bounds.denormalise([1.0, 0.7, -0.7, 1.0, 1.0]) == high
 
 
-@pytest.mark.parametrize(("corner", "value"), [("low", 200.0), ("step", 0.0)])
+@pytest.mark.parametrize(("corner", "value"), [("low", 200.0), ("step", 0.0), ("step", 1e-310), ("step", 1e-5)])
 def test_senseless_bounds_are_refused_by_name(corner: str, value: float) -> None:
-    """low above high, a step of zero: the error names corner and variable."""
+    """low above high, a step of zero, or one that makes over 1,000,000 values: each is named."""
     bounds = PRESETS["paper-table3"].model_dump()
     bounds[corner]["distance_um"] = value
     with pytest.raises(InputError, match=f"{corner}.distance_um"):
         parse(Bounds, bounds)
+
+
+def test_a_grid_is_counted_without_being_made(monkeypatch: pytest.MonkeyPatch) -> None:
+    """6.6e25 designs, in no time and no memory."""
+    monkeypatch.delattr(Bounds, "values")
+    low, high = Design.from_vector((100, 10, 300, 5, 0)), Design.from_vector((1000, 910, 1200, 905, 50))
+    bounds = Bounds(low=low, high=high, step=Design.from_vector((0.001, 0.001, 0.001, 0.001, 0.5)))
+    assert bounds.count == 900_001**4 * 101
 
 
 def test_a_steps_last_value_is_met_only_where_it_fits() -> None:

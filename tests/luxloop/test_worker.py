@@ -8,11 +8,11 @@ from dataclasses import replace
 
 import pytest
 
-from luxloop.bus import Asked, Inbox
+from luxloop.bus import Asked, Heard, Inbox
 from luxloop.bus.frame import decode, encode
 from luxloop.bus.keys import KEYS, at
 from luxloop.failure import Failure
-from luxloop.messages import BlobAsked
+from luxloop.messages import BlobAsked, Introduce
 from luxloop.settings import Settings
 from luxloop.worker import Worker
 from tests.local_bus import LocalBus, LocalRouter
@@ -56,3 +56,53 @@ def test_a_store_that_cannot_be_read_does_not_end_its_worker(settings: Settings)
     failure = decode(frames[0]).message
     assert isinstance(failure, Failure)
     assert "database is locked" in failure.message
+
+
+@pytest.mark.parametrize("frame", [encode(BlobAsked()), b"junk"], ids=["question", "junk"])
+def test_a_key_of_any_length_ends_no_worker(settings: Settings, frame: bytes) -> None:
+    """`*` reaches every worker at once: what is no hash is bad input to each, however it was put."""
+    worker = Worker(Sleepy(), LocalBus(LocalRouter()), settings)
+    frames: list[bytes] = []
+
+    def answered(frame: bytes) -> None:
+        frames.append(frame)
+        worker._leaving.set()
+
+    key = at(settings.realm, "blob", sha256="a" * 5000)
+    worker._inbox.offer(Asked(key, frame, answered, lambda: None))
+    worker._attend(threading.current_thread())
+    failure = decode(frames[0]).message
+    assert isinstance(failure, Failure)
+    assert failure.code == "bad_input"
+
+
+def test_a_message_that_cannot_be_handled_is_not_the_last(
+    settings: Settings, caplog: pytest.LogCaptureFixture
+) -> None:
+    """It is logged; the next one is taken as any other."""
+
+    class Speechless(Sleepy):
+        def catalogue(self) -> dict[str, object]:
+            if len(worker._inbox) == 0:
+                worker._leaving.set()
+            raise ArithmeticError("no words for it")
+
+    worker = Worker(Speechless(), LocalBus(LocalRouter()), settings)
+    for _ in range(2):
+        worker._inbox.offer(Heard(worker._key("cancel"), encode(Introduce())))
+    worker._attend(threading.current_thread())
+    assert caplog.text.count("ArithmeticError: no words for it") == 2
+
+
+def test_a_worker_that_cannot_say_what_it_can_do_ends_with_the_reason(
+    settings: Settings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Not as one that was told to leave: its exit code is not 0, and the reason is seen."""
+
+    class Wordless(Sleepy):
+        def catalogue(self) -> dict[str, object]:
+            return {"effects": "m\udce4rz"}
+
+    monkeypatch.setattr("luxloop.worker.signal.signal", lambda *_: None)
+    with pytest.raises(ValueError, match="catalogue"):
+        Worker(Wordless(), LocalBus(LocalRouter()), settings).run()
