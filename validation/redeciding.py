@@ -90,7 +90,7 @@ def explanation_of(row: Document) -> Explanation:
         plausible=row["plausible"], at_end=row.get("at_end", False), has_members=row.get("has_members", False),
         by_place=row.get("by_place"), distrust=tuple(row["distrust"]),
         p_left=row["p_left"], sigma=row["sigma"], sigma_rival=row["sigma_rival"],
-        as_well=tuple(tuple(words) for words in row["fits_as_well"]),
+        as_well=tuple(tuple(words) for words in row["fits_as_well"]), numbers=row.get("numbers", 1),
     )  # fmt: skip
 
 

@@ -27,7 +27,7 @@ from validation.diagnose.rounds import Diagnosis
 from validation.diagnose.verdict import decided
 from validation.fit import Fit, fit
 from validation.model_versions import save
-from validation.redeciding import changed_model, diagnosis
+from validation.redeciding import changed_model, diagnosis, explanation_of
 from validation.reexecute import FromAnswers, fitted
 
 Plain = dict[str, Any]
@@ -99,6 +99,16 @@ def test_a_forged_diagnosis_is_named(diagnosed: Plain, path: str, value: Any, wh
     if path == "structure/p":
         forged["scores_p"] = 0.9
     assert (what, "differs") in said(lambda at: diagnosis(forged, at))
+
+
+def test_a_fall_of_chi2_is_held_against_as_many_numbers_as_were_fitted(diagnosed: Plain) -> None:
+    """A record of before that was kept is replayed as it was decided, by one."""
+    told = put(diagnosed, "known", 43)
+    told["effects"] = [told["effects"][0] | {"chi2_drop": 16.0, "p_left": 1e-4, "numbers": 2}]
+    tried = [explanation_of(row) for row in told["effects"]]
+    before = [explanation_of({name: row[name] for name in row if name != "numbers"}) for row in told["effects"]]
+    words = [decided(some, 43, str, lambda _: "").word for some in (tried, before)]
+    assert words == ["none_of_the_known", diagnosed["verdict"]]
 
 
 def test_what_a_verdict_says_is_left_follows_from_its_numbers() -> None:

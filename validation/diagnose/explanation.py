@@ -52,6 +52,8 @@ class Explanation:
     """Length of its whitened image after what is fitted has been projected out."""
     sigma_rival: dict[str, float]
     """The same also after each rival."""
+    numbers: int = 1
+    """Of the effect that were fitted, what shapes it among them; of a group its spread, of a switch whether it is."""
 
     def doubts(self, level: float = LEVEL) -> tuple[str, ...]:
         """Why the fit with it may not be trusted; where structure is left, but for limits, to which what is missing

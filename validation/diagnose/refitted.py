@@ -73,6 +73,12 @@ class Refitted:
         return tuple(path_of(one.effect.name, one.parameter.name) for one in tried)
 
     @property
+    def numbers(self) -> int:
+        """How many of the effect's numbers were fitted, lengths among them; of a group and a switch 1."""
+        known = () if self.fit is None else self.fit.problem.unknowns.model_paths
+        return max(1, sum(path.startswith(path_of(self.candidate.effect.name, "")) for path in known))
+
+    @property
     def size(self) -> dict[str, float]:
         """The effect's parameters that act, by name, as its model has them; of a group and a switch the one value."""
         own = self.candidate.parameter.name

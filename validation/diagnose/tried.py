@@ -227,6 +227,7 @@ def _explanation(
         p_left=ground.judged(found.residual).p,
         sigma=length,
         sigma_rival=beside,
+        numbers=found.numbers,
     )
 
 

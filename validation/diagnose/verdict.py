@@ -5,11 +5,11 @@
     nothing_visible       neither structure nor any effect's score is unlikely, each at half the level
     none_of_the_known     the best effect explains less than half of the structure by an error (by two, where the
                           share is known to no better than 0.15), or lowers chi2 by no more than noise does of so
-                          many effects (14 of 32), and structure is left; or all that was kept, round
-                          by round, explains less than 0.8, and structure is left; or a group is all that was kept,
-                          and structure is left: with a number for each chip it takes most of anything (one whose
-                          members follow the field is not even tried: chips know nothing of it). Not where a
-                          second effect explains all that the best one leaves: both are named
+                          many effects (15 by one number of 43 effects, 18 by two), and structure is left; or all
+                          that was kept, round by round, explains less than 0.8, and structure is left; or a group is
+                          all that was kept, and structure is left: with a number for each chip it takes most of
+                          anything (one whose members follow the field is not even tried: chips know nothing of it).
+                          Not where a second effect explains all that the best one leaves: both are named
     cannot_tell_apart     a rival explains nearly as much, and less than 5 sigma would be left of the one beside it,
                           or the two fits are nearer to each other than that
     one_effect            else
@@ -233,8 +233,8 @@ def _explains_too_little(best: Explanation, level: float) -> bool:
 
 
 def _is_noise(best: Explanation, known: int, level: float) -> bool:
-    """Whether noise alone would lower chi2 as much by one of so many effects, while structure is left."""
-    return best.drop < chdtri(1, level / 2.0 / max(known, 1)) and best.p_left < level / 2.0
+    """Whether noise alone would lower chi2 as much by as many numbers of one of so many effects, structure left."""
+    return best.drop < chdtri(best.numbers, level / 2.0 / max(known, 1)) and best.p_left < level / 2.0
 
 
 def _alike(best: Explanation, other: Explanation) -> bool:
