@@ -29,6 +29,7 @@ from validation.diagnose.verdict import (
     is_visible,
     told_of_rest,
 )
+from validation.fit import AT_LIMIT
 from validation.model_versions import versions
 from validation.sample_values import numbers
 
@@ -53,8 +54,9 @@ def diagnosis(document: Document, at: Place) -> None:
 
 
 def verdict_of(document: Document, tried: Sequence[Explanation]) -> Verdict | None:
-    """The verdict on what was tried; None where nothing was, for nothing was to be seen or the fit is in doubt."""
-    if not tried or not is_visible(document["structure"]["p"], document["scores_p"]):
+    """The verdict on what was tried; None where nothing was to be seen, or the fit was in doubt before any score."""
+    in_doubt = not document["scores"] and any(AT_LIMIT not in reason for reason in document["distrust"])
+    if in_doubt or not is_visible(document["structure"]["p"], document["scores_p"]):
         return None
     added = document["added"]
     beside = added[0].get("beside") if added else None  # told since decision 54

@@ -6,10 +6,12 @@ import copy
 import json
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from luxloop.audit import Compared, Place
@@ -21,6 +23,8 @@ from validation import auditor, reexecute
 from validation.adding import told_of
 from validation.comparing import maps_of
 from validation.dataset.folder import read_dataset
+from validation.diagnose.diagnosis import Means
+from validation.diagnose.diagnosis import diagnosed as diagnosed_by
 from validation.diagnose.document import document
 from validation.diagnose.explained import Share
 from validation.diagnose.rounds import Diagnosis
@@ -109,6 +113,39 @@ def test_a_fall_of_chi2_is_held_against_as_many_numbers_as_were_fitted(diagnosed
     before = [explanation_of({name: row[name] for name in row if name != "numbers"}) for row in told["effects"]]
     words = [decided(some, 43, str, lambda _: "").word for some in (tried, before)]
     assert words == ["none_of_the_known", diagnosed["verdict"]]
+
+
+def test_where_nothing_could_be_added_the_verdict_follows_too() -> None:
+    """A dark ripple, of which only bright ones are known; nobody at all of whom to choose, limits or not."""
+    ripple = made_up.CATALOGUE[0]
+    bright = ripple.model_copy(update={"parameters": (ripple.parameters[0].model_copy(update={"lower": 0.0}),)})
+    images = made_up.data("ripple", 3, -0.06)
+    for known in ((bright,), ()):
+        told = as_kept(document(made_up.diagnosis(images, known=known), 1))
+        assert (told["verdict"], told["effects"], told["set"]) == ("none_of_the_known", [], [])
+        held = put(told, "distrust", ["a.b is at its limit (0 to 1); widen the limits"])
+        assert said(partial(diagnosis, told)) == []
+        assert said(partial(diagnosis, held)) == []
+    doubted = put(put(told, "distrust", ["an image may be of no light at all"]), "verdict", "fit_not_trustworthy")
+    assert said(partial(diagnosis, doubted)) == []
+
+
+def test_what_more_monte_carlo_takes_back_is_not_visible() -> None:
+    """By a few histories a column may look like the noise in the images; a better one finds nothing there."""
+    (one,) = made_up.diagnosis(made_up.data(None, 9), known=made_up.CATALOGUE[:1]).steps
+    base = one.ground.fit
+    assert one.ground.structure.p > 0.005
+    traced = made_up.CATALOGUE[0].model_copy(update={"twin": False})
+    score = one.scores.effects[0].best.candidate
+    closely = replace(score, effect=traced)
+    by_few = replace(closely, columns=score.columns + 0.5 * base.residual[None] * np.linalg.norm(score.columns))
+    members_fit, ground_of = made_up.members_fit, made_up.ground_of
+    means = Means(lambda *_: [by_few], lambda *_: [closely], members_fit, ground_of, lambda *_: [made_up.ANOTHER])
+    again = diagnosed_by(one.ground, [traced], means)
+    assert again.steps[0].scores.p > 0.005
+    assert again.verdict.word == "nothing_visible"
+    told = as_kept(document(again, 1))
+    assert said(lambda at: diagnosis(told, at)) == []
 
 
 def test_what_a_verdict_says_is_left_follows_from_its_numbers() -> None:

@@ -115,15 +115,14 @@ def _step(ground: Ground, effects: Sequence[EffectSpec], means: Means, seed: int
     means.progress(0.1, "signatures of the effects")
     candidates = means.signatures(fit, effects)
     projected, scored = _scored(ground, candidates, seed)
-    visible = is_visible(ground.structure.p, scored.p, level)
-    if visible and (faint := blurred(scored)):
+    if is_visible(ground.structure.p, scored.p, level) and (faint := blurred(scored)):
         means.progress(0.18, "signatures by more Monte Carlo")
         closer = means.closely(fit, [one for one in effects if one.name in faint])
         candidates = [one for one in candidates if one.effect.name not in faint] + closer
         projected, scored = _scored(ground, candidates, seed)
     best = {one.name: columns_of(fit, projected, one.best.candidate) for one in scored.effects}
     alike = confounding(best)
-    if not visible:
+    if not is_visible(ground.structure.p, scored.p, level):
         nothing = nothing_visible(limits_in_words(scored, level), more_in_words(fit))
         verdict = not_trustworthy(fit.distrust) if fit.distrust else nothing
         return Step(ground, scored, alike, (), (), verdict)
