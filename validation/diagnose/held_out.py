@@ -32,15 +32,12 @@ BLOCK_PX = 16
 class HeldOut:
     """What a model leaves in the data that it was not fitted to, fold after fold."""
 
-    folds: tuple[str, ...]
     residual: Real
     """(row,), in standard deviations of each row's own noise."""
     rows: Rows
     """Their numbers among all rows."""
     rms_percent: float
     """Of the images, over their mean signal, all folds together; where there are none of the curves, likewise."""
-    floor_percent: float
-    """The same of noise alone."""
 
     @property
     def density(self) -> float:
@@ -77,14 +74,7 @@ def held_out(fit: Fit, folds: Sequence[tuple[str, Rows]]) -> HeldOut:
         order.append(rows)
     rows, after = np.concatenate(order), np.concatenate(left)
     told = rows < (fit.whitening.count or len(residual))
-    noise = noise[rows[told]]
-    return HeldOut(
-        tuple(name for name, _ in folds),
-        after,
-        rows,
-        100.0 * float(np.sqrt(np.mean((after[told] * noise) ** 2))) / level,
-        100.0 * float(np.sqrt(np.mean(noise**2))) / level,
-    )
+    return HeldOut(after, rows, 100.0 * float(np.sqrt(np.mean((after * noise[rows])[told] ** 2))) / level)
 
 
 def change(before: HeldOut, after: HeldOut) -> Change:
