@@ -37,7 +37,7 @@ class HeldOut:
     rows: Rows
     """Their numbers among all rows."""
     rms_percent: float
-    """Of the images, over their mean signal, all folds together; where there are none of the curves, likewise."""
+    """Of the images, over their mean signal (`level_of`), all folds together; without images of the curves."""
 
     @property
     def density(self) -> float:
@@ -62,7 +62,7 @@ def held_out(fit: Fit, folds: Sequence[tuple[str, Rows]]) -> HeldOut:
     """The errors of a fit in each fold (name, rows left out). ValueError without folds."""
     if not folds:
         raise ValueError("held-out error without folds")
-    residual, columns, noise, level = _plain(fit)
+    residual, columns, noise = _plain(fit)
     left, order = [], []
     shared = np.array([not _is_nuisance(name, fit) for name in fit.names], bool)
     for _, rows in folds:
@@ -74,7 +74,15 @@ def held_out(fit: Fit, folds: Sequence[tuple[str, Rows]]) -> HeldOut:
         order.append(rows)
     rows, after = np.concatenate(order), np.concatenate(left)
     told = rows < (fit.whitening.count or len(residual))
-    return HeldOut(after, rows, 100.0 * float(np.sqrt(np.mean((after * noise[rows])[told] ** 2))) / level)
+    percent = 100.0 * float(np.sqrt(np.mean((after * noise[rows])[told] ** 2))) / level_of(fit)
+    return HeldOut(after, rows, percent)
+
+
+def level_of(fit: Fit) -> float:
+    """What errors are told in percent of: the mean of all used pixels in DN; without images of the curves' values."""
+    images = zip(fit.problem.images, fit.signals_dn, strict=True)
+    values = [signal[image.used] for image, signal in images] or [np.abs(one.value) for one in fit.problem.curves]
+    return float(np.mean(np.concatenate(values)))
 
 
 def change(before: HeldOut, after: HeldOut) -> Change:
@@ -146,18 +154,16 @@ def _is_nuisance(name: str, fit: Fit) -> bool:
     return any(name.startswith(f"{shot}.") for shot in shots)
 
 
-def _plain(fit: Fit) -> tuple[Real, Real, Real, float]:
-    """Residual and columns by each row's own noise alone; that noise in DN (or a curve's unit); the mean level of
-    the images, without any that of the curves.
+def _plain(fit: Fit) -> tuple[Real, Real, Real]:
+    """Residual and columns by each row's own noise alone; that noise in DN (or a curve's unit).
 
     The fit's own rows cannot be used: whitening mixes the images of one camera.
     """
     images = fit.problem.images
-    weights, levels = [], []
+    weights = []
     for image, signal in zip(images, fit.signals_dn, strict=True):
         variance = image.noise_dn2(signal)
         weights.append(np.where(image.used, 1.0 / np.sqrt(np.where(image.used, variance, 1.0)), 0.0))
-        levels.append(float(np.mean(signal[image.used])))
     white = Whitening(
         tuple(image.used for image in images), tuple(weights), (), curve_sigma=fit.whitening.curve_sigma
     )
@@ -165,8 +171,7 @@ def _plain(fit: Fit) -> tuple[Real, Real, Real, float]:
     residual, columns = at.residual(white), at.columns(white)
     sigma = [1.0 / w[image.used] for w, image in zip(weights, images, strict=True)]
     noise = np.concatenate([*sigma, *fit.whitening.curve_sigma])
-    levels = levels or [float(np.mean(np.abs(curve.value))) for curve in fit.problem.curves]
-    return residual, columns, noise, float(np.mean(levels))
+    return residual, columns, noise
 
 
 def _solved(fit: Fit, columns: Real, residual: Real, active: NDArray[np.bool_]) -> Real:

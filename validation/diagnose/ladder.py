@@ -12,7 +12,7 @@ from luxloop.errors import InputError
 from luxloop.model import Model
 from luxloop.model_file import parse_toml
 from validation.diagnose.ground import Ground
-from validation.diagnose.held_out import folds_by_blocks, folds_of, held_out
+from validation.diagnose.held_out import folds_by_blocks, folds_of, held_out, level_of
 from validation.model_versions import Version
 from validation.sample_values import is_by_sample
 
@@ -42,18 +42,17 @@ class Rung:
     def of(cls, ground: Ground, blocks: bool = False) -> Rung:
         """Of a fit and its structure; `blocks`: halves of the images are left out, too."""
         fit = ground.fit
-        squares, noise, level, count = 0.0, 0.0, 0.0, 0
+        squares, noise, count = 0.0, 0.0, 0
         for number, (image, signal) in enumerate(zip(fit.problem.images, fit.signals_dn, strict=True)):
             used = image.used
             squares += float(np.sum((image.signal_dn - signal)[used] ** 2))
             noise += float(np.sum(fit.variance_dn2(number)[used]))
-            level, count = level + float(np.sum(signal[used])), count + int(used.sum())
+            count += int(used.sum())
         if not count:  # spectra alone: of their mean value
             rows = fit.residual * np.concatenate([*fit.whitening.curve_sigma])
             squares, count = float(rows @ rows), len(rows)
             noise = float(sum(np.sum(sigma**2) for sigma in fit.whitening.curve_sigma))
-            level = float(sum(np.sum(np.abs(curve.value)) for curve in fit.problem.curves))
-        percent = 100.0 * np.sqrt(count) / level
+        percent = 100.0 / (np.sqrt(count) * level_of(fit))
         folds = folds_of(fit)
         held = held_out(fit, folds).rms_percent if folds else None
         halves = held_out(fit, folds_by_blocks(fit)).rms_percent if blocks else None

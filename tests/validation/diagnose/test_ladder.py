@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from tests.validation.analytic import SINGLE, TRUTH, Spots, blank, measured
-from tests.validation.diagnose.made_up import GAIN, ground_of
+from tests.validation.diagnose.made_up import GAIN, ground_of, images_of
+from tests.validation.lines import fit_of_lines, noisy
 from validation.diagnose.ladder import Rung
-from validation.fit import fit
+from validation.fit import Parameter, fit
 from validation.prediction import Anchored
 
 
@@ -25,3 +28,14 @@ def test_camera_pattern_and_monte_carlo_are_all_noise(prnu: float, share: float)
     rung = Rung.of(ground_of(found))
     assert rung.noise_percent == pytest.approx(wanted, rel=0.02)
     assert rung.held_out_percent is None
+
+
+def test_what_was_fitted_and_what_was_left_out_are_told_of_one_mean() -> None:
+    """Of a reflectance of 1,000 values and a psi of ten: a right model leaves the same noise in both."""
+    random = np.random.default_rng(3)
+    shapes = {"r": {"t": np.full(1000, 0.1)}, "psi": {"t": np.full(10, 30.0)}}
+    known = Parameter("t", prior_mean=1.0, prior_sd=1e-6)
+    found = fit_of_lines(shapes, {name: noisy(random, one["t"]) for name, one in shapes.items()}, [known])
+    rung = Rung.of(replace(ground_of(fit(TRUTH, images_of(TRUTH, 3), Spots(), free=())), fit=found))
+    assert rung.fitted_percent == pytest.approx(100.0 * 0.01 / (400.0 / 1010.0), rel=0.1)
+    assert rung.held_out_percent == pytest.approx(rung.fitted_percent, rel=0.1)
