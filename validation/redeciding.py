@@ -7,6 +7,7 @@ add, remove  what changed from the two models; the errors of the ladder from tho
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -46,7 +47,8 @@ def diagnosis(document: Document, at: Place) -> None:
         at.exact("verdict", document["verdict"], again.word)
         at.exact("set of the verdict", document["set"], list(again.set))
         if again.word == "one_effect":
-            at.exact("sentence", document["sentence"], again.sentence + _rest(document, again, tried))
+            sentence = again.sentence + _rest(document, again, tried)
+            at.exact("sentence", document["sentence"], _as_before(sentence, document["sentence"]))
     drops = [(not one.plausible, -one.drop) for one in tried]
     at.exact("effects, the best first", drops, sorted(drops))
     scored = [-row["chi2_drop"] for row in document["scores"]]
@@ -77,6 +79,13 @@ def _rest(document: Document, first: Verdict, tried: Sequence[Explanation]) -> s
     before = told_of_rest(first, (), further, 1.0)
     told = told_of_rest(first, tried, further, added[-1]["p_left"])
     return before if document["sentence"] == first.sentence + before else told
+
+
+def _as_before(sentence: str, told: str) -> str:
+    """A sentence as it was told before an error that stays the same was told so, if that is how it was told."""
+    stays = r"leaves the held-out error at (\S+ %)"
+    before = [re.sub(stays, rf"{moves} the held-out error from \1 to \1", sentence) for moves in ("lowers", "raises")]
+    return told if told in before else sentence
 
 
 def explanation_of(row: Document) -> Explanation:

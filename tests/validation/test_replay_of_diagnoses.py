@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import json
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -162,6 +163,23 @@ def test_what_a_verdict_says_is_left_follows_from_its_numbers() -> None:
     assert said(lambda at: diagnosis(put(told, "sentence", verdict.sentence), at)) == []
     forged = put(told, "sentence", told["sentence"].replace("0.0001", "0.001"))
     assert said(lambda at: diagnosis(forged, at)) == [("sentence", "differs")]
+
+
+def test_an_error_that_stays_may_be_told_as_it_was_before(diagnosed: Plain) -> None:
+    """Lowered or raised to what it was; of other numbers it may not."""
+    told = put(diagnosed, "effects/0/held_out_after", diagnosed["effects"][0]["held_out_before"])
+    told["effects"] = told["effects"][:1]
+    again = decided([explanation_of(row) for row in told["effects"]], told["known"], str, lambda _: "")
+    told |= {"verdict": again.word, "set": list(again.set)}
+    (stays,) = re.findall(r"leaves the held-out error at (\S+ %)", again.sentence)
+    for words, verdicts in (
+        (f"leaves the held-out error at {stays}", []),
+        (f"raises the held-out error from {stays} to {stays}", []),
+        (f"lowers the held-out error from {stays} to {stays}", []),
+        (f"lowers the held-out error from 9 % to {stays}", [("sentence", "differs")]),
+    ):
+        sentence = again.sentence.replace(f"leaves the held-out error at {stays}", words)
+        assert said(partial(diagnosis, told | {"sentence": sentence})) == verdicts
 
 
 def test_a_forged_map_of_residuals_is_named(found: Diagnosis, diagnosed: Plain) -> None:

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from luxloop.effect import Scope
+from luxloop.effect import EffectSpec, Scope
 from validation.fit import Fit
 from validation.fit.whitening import Whitening
 from validation.measured import MeasuredSpectrum
@@ -38,6 +38,13 @@ class HeldOut:
     """Their numbers among all rows."""
     rms_percent: float
     """Of the images, over their mean signal (`level_of`), all folds together; without images of the curves."""
+    curves_percent: float | None = None
+    """Of curves beside images."""
+
+    def percent_of(self, effect: EffectSpec) -> float:
+        """Of what an effect acts on: of curves beside images, where that is films alone."""
+        of_films = effect.acts_on == ("films",)
+        return self.curves_percent if of_films and self.curves_percent is not None else self.rms_percent
 
     @property
     def density(self) -> float:
@@ -73,15 +80,21 @@ def held_out(fit: Fit, folds: Sequence[tuple[str, Rows]]) -> HeldOut:
         left.append(there - _solved(fit, columns[:, rows], there, fit.active & ~known) @ columns[:, rows])
         order.append(rows)
     rows, after = np.concatenate(order), np.concatenate(left)
-    told = rows < (fit.whitening.count or len(residual))
-    percent = 100.0 * float(np.sqrt(np.mean((after * noise[rows])[told] ** 2))) / level_of(fit)
-    return HeldOut(after, rows, percent)
+    squares, count = (after * noise[rows]) ** 2, fit.whitening.count
+    parts = (squares[rows < count], False), (squares[rows >= count], True)
+    percents = [percent(part, level_of(fit, curves=curves)) for part, curves in parts if len(part)]
+    return HeldOut(after, rows, *percents)
 
 
-def level_of(fit: Fit) -> float:
-    """What errors are told in percent of: the mean of all used pixels in DN; without images of the curves' values."""
+def percent(squares: Real, level: float) -> float:
+    """The root of the mean of squares (row,), of what is left or of its noise, in percent of a level."""
+    return 100.0 * float(np.sqrt(np.mean(squares))) / level
+
+
+def level_of(fit: Fit, *, curves: bool) -> float:
+    """What errors are told in percent of: the mean of all used pixels in DN, or of the values of all curves."""
     images = zip(fit.problem.images, fit.signals_dn, strict=True)
-    values = [signal[image.used] for image, signal in images] or [np.abs(one.value) for one in fit.problem.curves]
+    values = [np.abs(one.value) for one in fit.problem.curves] if curves else [dn[one.used] for one, dn in images]
     return float(np.mean(np.concatenate(values)))
 
 

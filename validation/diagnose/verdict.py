@@ -123,9 +123,7 @@ def decided(
         return Verdict("cannot_tell_apart", sentence, names, tuple(told[1:]))
     held = "a held-out test is not possible with these data"
     if best.held_out_percent is not None:
-        before, after = best.held_out_percent
-        moves = "lowers" if after < before else "raises"
-        held = f"{moves} the held-out error from {before:.3g} % to {after:.3g} %"
+        held = _moved(*best.held_out_percent)
     following = f" Next best: {_next_best(others[0])}." if others else ""
     sentence = (
         f"One effect explains the misfit: {best.name}, {best.size}."
@@ -266,6 +264,13 @@ def _by_fits(best: Explanation, rivals: Sequence[Explanation]) -> str:
     """How near the fits are, where columns alone would tell a rival: what `next` says of now is by columns."""
     near = [_sigma_by_fits(best, one) for one in rivals if _sigma_by_columns(best, one) >= TOLD_APART]
     return f" (fits {min(near):.1f} sigma apart)" if near else ""
+
+
+def _moved(before: float, after: float) -> str:
+    """What becomes of the held-out error, in percent."""
+    if f"{before:.3g}" == f"{after:.3g}":
+        return f"leaves the held-out error at {before:.3g} %"
+    return f"{'lowers' if after < before else 'raises'} the held-out error from {before:.3g} % to {after:.3g} %"
 
 
 def _next_best(other: Explanation) -> str:
