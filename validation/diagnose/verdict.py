@@ -80,9 +80,9 @@ def nothing_visible(limits: Sequence[str], more: str = "") -> Verdict:
     )
 
 
-def is_visible(p_structure: float, p_scores: float, level: float = LEVEL) -> bool:
+def is_visible(p_structure: float, p_scores: float) -> bool:
     """Whether there is anything to explain; each test has half of the level."""
-    return min(p_structure, p_scores) < level / 2.0
+    return min(p_structure, p_scores) < LEVEL / 2.0
 
 
 def decided(
@@ -90,7 +90,6 @@ def decided(
     known: int,
     left: Callable[[], str],
     next_image: Callable[[Sequence[str]], str],
-    level: float = LEVEL,
     *,
     beside: Collection[str] | None = None,
 ) -> Verdict:
@@ -104,12 +103,12 @@ def decided(
     beside : effects that explain, in a fit with the best one, all that it leaves: it need not explain half by itself,
     and they are no rivals of it. None: it is alone.
     """
-    usable = _in_order([one for one in explanations if one.plausible], level)
-    too_little = bool(usable) and beside is None and _explains_too_little(usable[0], level)
-    if not usable or too_little or _is_noise(usable[0], known, level):
+    usable = _in_order([one for one in explanations if one.plausible])
+    too_little = bool(usable) and beside is None and _explains_too_little(usable[0])
+    if not usable or too_little or _is_noise(usable[0], known):
         return none_of_the_known(known, max((one.share.value for one in explanations), default=0.0), left())
     best, others = usable[0], usable[1:]
-    if best.distrust and best.p_left >= level / 2.0:  # else another effect may be what drives it there
+    if best.distrust and best.p_left >= LEVEL / 2.0:  # else another effect may be what drives it there
         return doubted(best)
     alike = [one for one in others if _alike(best, one)]
     names = (best.name, *(one.name for one in alike))
@@ -142,13 +141,13 @@ def none_of_the_known(known: int, share: float, left: str) -> Verdict:
     return Verdict("none_of_the_known", sentence)
 
 
-def leaves_too_much(p_left: float, shares: Sequence[Share], level: float = LEVEL) -> bool:
+def leaves_too_much(p_left: float, shares: Sequence[Share]) -> bool:
     """Whether structure is left with all effects that were kept, and they explain too little for it to be noise.
 
     `shares`: of the structure that each round found, each with one of its errors in its favour.
     """
     left = math.prod(1.0 - min(max(one.value + one.error, 0.0), 1.0) for one in shares)
-    return p_left < level / 2.0 and 1.0 - left < ENOUGH
+    return p_left < LEVEL / 2.0 and 1.0 - left < ENOUGH
 
 
 def concluded(
@@ -212,27 +211,27 @@ def doubted(best: Explanation) -> Verdict:
     return not_trustworthy([f"with {best.name} added, {reason}" for reason in best.distrust])
 
 
-def _in_order(usable: Sequence[Explanation], level: float) -> list[Explanation]:
+def _in_order(usable: Sequence[Explanation]) -> list[Explanation]:
     """By falling drop; before a group that leaves structure comes what lowers chi2 nearly as much and leaves none."""
     usable = sorted(usable, key=lambda one: -one.drop)
     best, others = next(iter(usable), None), usable[1:]
     if best is None:
         return []
-    if best.has_members and best.p_left < level / 2.0:
-        near = (one for one in others if one.p_left >= level / 2.0 and one.drop > (1.0 - 2.0 * ALIKE) * best.drop)
+    if best.has_members and best.p_left < LEVEL / 2.0:
+        near = (one for one in others if one.p_left >= LEVEL / 2.0 and one.drop > (1.0 - 2.0 * ALIKE) * best.drop)
         best = next(near, best)
     return [best, *(one for one in usable if one is not best)]
 
 
-def _explains_too_little(best: Explanation, level: float) -> bool:
+def _explains_too_little(best: Explanation) -> bool:
     """Less than half, with its error (twice it where that is wide), while structure is left."""
     errors = 1.0 if best.share.decides else 2.0
-    return best.share.value + errors * best.share.error < HALF and best.p_left < level / 2.0
+    return best.share.value + errors * best.share.error < HALF and best.p_left < LEVEL / 2.0
 
 
-def _is_noise(best: Explanation, known: int, level: float) -> bool:
+def _is_noise(best: Explanation, known: int) -> bool:
     """Whether noise alone would lower chi2 as much by as many numbers of one of so many effects, structure left."""
-    return best.drop < chdtri(best.numbers, level / 2.0 / max(known, 1)) and best.p_left < level / 2.0
+    return best.drop < chdtri(best.numbers, LEVEL / 2.0 / max(known, 1)) and best.p_left < LEVEL / 2.0
 
 
 def _alike(best: Explanation, other: Explanation) -> bool:
