@@ -102,7 +102,9 @@ def change(before: HeldOut, after: HeldOut) -> Change:
     """From one model to another on the same folds.
 
     Where the second is right, its residual is noise y and the first's y + d: the sum of (d y + d^2 / 2) has the
-    standard deviation |d|.
+    standard deviation |d|. Of models about anchors of their own the noise of two runs of Monte Carlo is
+    in d, and so in this: where it is s of a row's, the sum's deviation is larger by some s^2 / 4 of itself. About the
+    anchor of the other one a model would fit worse than it does: by 80 of chi2, 12 errors away (decision 41).
     """
     if not np.array_equal(before.rows, after.rows):
         raise ValueError("two models are compared on the same folds")

@@ -150,6 +150,22 @@ def test_what_a_right_model_gains_scatters_as_is_said() -> None:
         change(of(d), replace(of(d), rows=np.arange(1, 81)))
 
 
+@pytest.mark.parametrize(("share", "size"), [(0.3, 0.0), (0.3, 5.0), (0.5, 5.0)])
+def test_the_noise_of_two_runs_of_monte_carlo_is_in_the_error(share: float, size: float) -> None:
+    """Two models that differ by d of this size and about anchors of their own: the gain is that of d alone."""
+    random, rows = np.random.default_rng(9), np.arange(2000)
+    d = random.standard_normal(2000)
+    d *= size / np.linalg.norm(d)
+    drawn = [
+        change(HeldOut(y + d + share * one, rows, 1.0), HeldOut(y + share * other, rows, 1.0))
+        for y, one, other in random.standard_normal((1000, 3, 2000))
+    ]
+    values, told = np.array([one.value for one in drawn]), np.array([one.error for one in drawn])
+    assert np.mean(values) == pytest.approx(size**2 / 4000.0, abs=4.0 * np.mean(told) / np.sqrt(1000.0))
+    assert np.std(values) == pytest.approx(np.mean(told), rel=0.1)
+    assert size or np.mean([one.falls for one in drawn]) < 0.05
+
+
 def test_an_error_falls_where_it_falls_by_two_of_its_own() -> None:
     """Less is noise, and a rise is none."""
     assert [Change(value, 1.0).falls for value in (-3.0, 1.9, 2.1)] == [False, False, True]
