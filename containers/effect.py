@@ -57,7 +57,7 @@ def parameter(
     unit : that its name ends with, "" for a number without one; stated, so that nobody forgets it.
     lower, upper : its plausible range; or `choices`, the words it may be.
     off : where the effect is absent; None for a parameter that only shapes it, which then has a `shape_grid`.
-    score : what has a slope at off, the value or its square. one_sided : only one side of off exists.
+    score : what has a slope at off, the value, or with off 0 its square. one_sided : only one side of off exists.
     per_chip : a list, one number for each chip of the modules that have as many.
     """
     told: dict[str, JsonValue] = {
@@ -84,6 +84,7 @@ class Effect(Words):
     """Whether a share of the light, drawn by chance, goes another way: short steps leave the noise of a few rays,
     long ones bend no more."""
     discrete: ClassVar[bool] = False
+    """Whether it is there or not: its words, or numbers of a shape grid without an off value, are tried in turn."""
     conserves: ClassVar[tuple[Literal["energy", "reciprocity"], ...]] = ()
     excludes: ClassVar[tuple[str, ...]] = ()
     """Effects that say the same in another way: a model has one of them."""
@@ -124,8 +125,15 @@ class Effect(Words):
         extra = field.json_schema_extra
         if not isinstance(extra, dict) or not isinstance(told := extra.get(MARK), dict):
             raise InputError(f"{cls.__name__}.{name}", "a plain field", "a parameter", "parameter('...', unit=...)")
-        said = {"name": name, "description": field.description or ""}
-        return parse(EffectParameter, said | told, f"{cls.__name__}.{name}")
+        said, where = {"name": name, "description": field.description or ""}, f"{cls.__name__}.{name}: off"
+        one = parse(EffectParameter, said | told, f"{cls.__name__}.{name}")
+        if one.score_variable == "square" and one.off not in (None, 0.0):
+            mend = "count it from there, or score the value"
+            raise InputError(where, one.off, "0, from which a square is counted", mend)
+        if cls.discrete and one.off is not None and not one.choices:
+            mend = "choices, or a shape_grid of values to try in place of off"
+            raise InputError(where, one.off, "none, of a number of a discrete effect: it has no slope there", mend)
+        return one
 
     @classmethod
     def at_off(cls, **shape: Any) -> Self:

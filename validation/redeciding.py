@@ -7,6 +7,7 @@ add, remove  what changed from the two models; the errors of the ladder from tho
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -29,6 +30,7 @@ from validation.diagnose.verdict import (
     is_visible,
     told_of_rest,
 )
+from validation.fit import AT_LIMIT
 from validation.model_versions import versions
 from validation.sample_values import numbers
 
@@ -45,7 +47,8 @@ def diagnosis(document: Document, at: Place) -> None:
         at.exact("verdict", document["verdict"], again.word)
         at.exact("set of the verdict", document["set"], list(again.set))
         if again.word == "one_effect":
-            at.exact("sentence", document["sentence"], again.sentence + _rest(document, again, tried))
+            sentence = again.sentence + _rest(document, again, tried)
+            at.exact("sentence", document["sentence"], _as_before(sentence, document["sentence"]))
     drops = [(not one.plausible, -one.drop) for one in tried]
     at.exact("effects, the best first", drops, sorted(drops))
     scored = [-row["chi2_drop"] for row in document["scores"]]
@@ -53,8 +56,9 @@ def diagnosis(document: Document, at: Place) -> None:
 
 
 def verdict_of(document: Document, tried: Sequence[Explanation]) -> Verdict | None:
-    """The verdict on what was tried; None where nothing was, for nothing was to be seen or the fit is in doubt."""
-    if not tried or not is_visible(document["structure"]["p"], document["scores_p"]):
+    """The verdict on what was tried; None where nothing was to be seen, or the fit was in doubt before any score."""
+    in_doubt = not document["scores"] and any(AT_LIMIT not in reason for reason in document["distrust"])
+    if in_doubt or not is_visible(document["structure"]["p"], document["scores_p"]):
         return None
     added = document["added"]
     beside = added[0].get("beside") if added else None  # told since decision 54
@@ -77,6 +81,13 @@ def _rest(document: Document, first: Verdict, tried: Sequence[Explanation]) -> s
     return before if document["sentence"] == first.sentence + before else told
 
 
+def _as_before(sentence: str, told: str) -> str:
+    """A sentence as it was told before an error that stays the same was told so, if that is how it was told."""
+    stays = r"leaves the held-out error at (\S+ %)"
+    before = [re.sub(stays, rf"{moves} the held-out error from \1 to \1", sentence) for moves in ("lowers", "raises")]
+    return told if told in before else sentence
+
+
 def explanation_of(row: Document) -> Explanation:
     """What an effect came to, as its row says."""
     ((parameter, size),) = row["size"].items()
@@ -90,7 +101,7 @@ def explanation_of(row: Document) -> Explanation:
         plausible=row["plausible"], at_end=row.get("at_end", False), has_members=row.get("has_members", False),
         by_place=row.get("by_place"), distrust=tuple(row["distrust"]),
         p_left=row["p_left"], sigma=row["sigma"], sigma_rival=row["sigma_rival"],
-        as_well=tuple(tuple(words) for words in row["fits_as_well"]),
+        as_well=tuple(tuple(words) for words in row["fits_as_well"]), numbers=row.get("numbers", 1),
     )  # fmt: skip
 
 

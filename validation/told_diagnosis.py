@@ -85,9 +85,13 @@ def next_measurement(document: Document) -> Iterator[str]:
 
 def ladder(document: Document) -> Iterator[str]:
     """A row for each version of the model."""
-    blocks = any(row["blocks_percent"] is not None for row in document["rungs"])
-    heads = ("version", "by", "error", "held out", *["in blocks"] * blocks, "noise", "p of structure", "effects")
-    yield from table(heads, [_rung(row, blocks) for row in document["rungs"]])
+    heads = {"fitted_percent": "error", "held_out_percent": "held out", "blocks_percent": "in blocks",
+             "noise_percent": "noise", "curves_fitted_percent": "error of curves",
+             "curves_held_out_percent": "held out", "curves_noise_percent": "noise"}  # fmt: skip
+    always = ("fitted_percent", "held_out_percent", "noise_percent")
+    names = [name for name in heads if name in always or any(row.get(name) is not None for row in document["rungs"])]
+    told = ("version", "by", *(heads[name] for name in names), "p of structure", "effects")
+    yield from table(told, [_rung(row, names) for row in document["rungs"]])
     moved = document["parameters"]
     if moved:
         yield ""
@@ -105,9 +109,11 @@ def added(document: Document) -> Iterator[str]:
         "fitted_percent": "error in what was fitted", "held_out_percent": "held-out error",
         "blocks_percent": "held-out error, halves of the images in blocks",
     }  # fmt: skip
-    for name, words in errors.items():
-        if before.get(name) is not None and after.get(name) is not None:
-            yield f"{words}: {before[name]:.3g} % -> {after[name]:.3g} % (noise {after['noise_percent']:.3g} %)"
+    for lead, what in (("", ""), ("curves_", ", of the curves")):
+        for name, words in errors.items():
+            if before.get(lead + name) is not None and after.get(lead + name) is not None:
+                error, noise = after[lead + name], after[f"{lead}noise_percent"]
+                yield f"{words}{what}: {before[lead + name]:.3g} % -> {error:.3g} % (noise {noise:.3g} %)"
     if after["held_out_percent"] is None:
         yield "held-out error: not computable, for a single sample leaves nothing to fit to when it is left out"
     yield f"p of structure: {before['p']:.2g} -> {after['p']:.2g}"
@@ -169,8 +175,7 @@ def _with_error(value: float, error: float | None) -> str:
     return f"{value:.4g}" if error is None else f"{value:.4g} +- {error:.2g}"
 
 
-def _rung(row: Document, blocks: bool) -> tuple[str, ...]:
-    names = ("fitted_percent", "held_out_percent", *["blocks_percent"] * blocks, "noise_percent")
+def _rung(row: Document, names: Sequence[str]) -> tuple[str, ...]:
     return (
         str(row["version"]),
         row["command"],

@@ -81,7 +81,7 @@ def _head(document: Document) -> Iterator[str]:
             rows.append((f"{share} %", f"of the structure is explained by {best['name']}"))
         if best["held_out_before"] is not None:
             fall = f"{number(best['held_out_before'])} → {number(best['held_out_after'])} %"
-            rows.append((fall, "rms error in images that were left out of the fit"))
+            rows.append((fall, "rms error in data that were left out of the fit"))
     yield html.highlights(rows)
 
 
@@ -234,12 +234,16 @@ def _ladder(document: Document) -> Iterator[str]:
         " and the prediction's own."
     )
     yield html.figure(figures.ladder_picture(document), "The ladder", caption)
-    heads = ("version", "by", "error (%)", "held out (%)", "noise (%)", "p of structure", "effects")
+    of_curves = {"curves_fitted_percent": "error of curves (%)", "curves_held_out_percent": "held out (%)",
+                 "curves_noise_percent": "noise (%)"}  # fmt: skip
+    beside = {name: of_curves[name] for name in of_curves if any(one.get(name) for one in document["rungs"])}
+    names = ("fitted_percent", "held_out_percent", "noise_percent", *beside, "p")
+    heads = ("version", "by", "error (%)", "held out (%)", "noise (%)", *beside.values(), "p of structure", "effects")
     rows = [
         (
             str(one["version"]),
             one["command"],
-            *(_number(one[name]) for name in ("fitted_percent", "held_out_percent", "noise_percent", "p")),
+            *(_number(one.get(name)) for name in names),
             ", ".join(one["effects"]) or NOTHING,
         )
         for one in document["rungs"]

@@ -113,6 +113,14 @@ def test_a_good_file_is_known_by_its_hash(tmp_path: Path) -> None:
         (detector("return image").replace('unit="", ', ""), ("import: ", "unit")),
         (detector("return image").replace('unit=""', 'unit="um"'), ("spec: Mine.share: unit", "ends with its unit")),
         (detector("return image").replace("lower=0.0", "lower=0.9"), ("spec: ", "lower", "below upper")),
+        (
+            detector("return image").replace("off=0.0", 'off=0.1, score="square"'),
+            ("spec: Mine.share: off: got 0.1", "0, from which a square is counted", "score the value"),
+        ),
+        (
+            detector("return image").replace('formula =', 'discrete = True; formula ='),
+            ("spec: Mine.share: off: got 0.0", "none, of a number of a discrete effect", "shape_grid"),
+        ),
         (detector("return image").replace('name = "mine"', 'name = "yours"'), ("import: ", "'mine'", "rename")),
         (detector("return image").replace("DetectorEffect)", "DetectorEffect"), ("import: ", "SyntaxError")),
         (detector("return image") + "raise SystemExit(0)\n", ("import: ", "SystemExit")),
@@ -120,7 +128,8 @@ def test_a_good_file_is_known_by_its_hash(tmp_path: Path) -> None:
     ],
     ids=[
         "creates energy", "off not identical", "exception", "wrong shape", "NaN", "not linear", "not an array",
-        "in place", "random", "slow", "import missing", "no unit", "wrong unit", "range", "other name", "syntax",
+        "in place", "random", "slow", "import missing", "no unit", "wrong unit", "range",
+        "square from elsewhere", "discrete number", "other name", "syntax",
         "exits", "no effect",
     ],
 )  # fmt: skip

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import copy
 import json
+import re
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from luxloop.audit import Compared, Place
@@ -21,13 +24,15 @@ from validation import auditor, reexecute
 from validation.adding import told_of
 from validation.comparing import maps_of
 from validation.dataset.folder import read_dataset
+from validation.diagnose.diagnosis import Means
+from validation.diagnose.diagnosis import diagnosed as diagnosed_by
 from validation.diagnose.document import document
 from validation.diagnose.explained import Share
 from validation.diagnose.rounds import Diagnosis
 from validation.diagnose.verdict import decided
 from validation.fit import Fit, fit
 from validation.model_versions import save
-from validation.redeciding import changed_model, diagnosis
+from validation.redeciding import changed_model, diagnosis, explanation_of
 from validation.reexecute import FromAnswers, fitted
 
 Plain = dict[str, Any]
@@ -101,6 +106,49 @@ def test_a_forged_diagnosis_is_named(diagnosed: Plain, path: str, value: Any, wh
     assert (what, "differs") in said(lambda at: diagnosis(forged, at))
 
 
+def test_a_fall_of_chi2_is_held_against_as_many_numbers_as_were_fitted(diagnosed: Plain) -> None:
+    """A record of before that was kept is replayed as it was decided, by one."""
+    told = put(diagnosed, "known", 43)
+    told["effects"] = [told["effects"][0] | {"chi2_drop": 16.0, "p_left": 1e-4, "numbers": 2}]
+    tried = [explanation_of(row) for row in told["effects"]]
+    before = [explanation_of({name: row[name] for name in row if name != "numbers"}) for row in told["effects"]]
+    words = [decided(some, 43, str, lambda _: "").word for some in (tried, before)]
+    assert words == ["none_of_the_known", diagnosed["verdict"]]
+
+
+def test_where_nothing_could_be_added_the_verdict_follows_too() -> None:
+    """A dark ripple, of which only bright ones are known; nobody at all of whom to choose, limits or not."""
+    ripple = made_up.CATALOGUE[0]
+    bright = ripple.model_copy(update={"parameters": (ripple.parameters[0].model_copy(update={"lower": 0.0}),)})
+    images = made_up.data("ripple", 3, -0.06)
+    for known in ((bright,), ()):
+        told = as_kept(document(made_up.diagnosis(images, known=known), 1))
+        assert (told["verdict"], told["effects"], told["set"]) == ("none_of_the_known", [], [])
+        held = put(told, "distrust", ["a.b is at its limit (0 to 1); widen the limits"])
+        assert said(partial(diagnosis, told)) == []
+        assert said(partial(diagnosis, held)) == []
+    doubted = put(put(told, "distrust", ["an image may be of no light at all"]), "verdict", "fit_not_trustworthy")
+    assert said(partial(diagnosis, doubted)) == []
+
+
+def test_what_more_monte_carlo_takes_back_is_not_visible() -> None:
+    """By a few histories a column may look like the noise in the images; a better one finds nothing there."""
+    (one,) = made_up.diagnosis(made_up.data(None, 9), known=made_up.CATALOGUE[:1]).steps
+    base = one.ground.fit
+    assert one.ground.structure.p > 0.005
+    traced = made_up.CATALOGUE[0].model_copy(update={"twin": False})
+    score = one.scores.effects[0].best.candidate
+    closely = replace(score, effect=traced)
+    by_few = replace(closely, columns=score.columns + 0.5 * base.residual[None] * np.linalg.norm(score.columns))
+    members_fit, ground_of = made_up.members_fit, made_up.ground_of
+    means = Means(lambda *_: [by_few], lambda *_: [closely], members_fit, ground_of, lambda *_: [made_up.ANOTHER])
+    again = diagnosed_by(one.ground, [traced], means)
+    assert again.steps[0].scores.p > 0.005
+    assert again.verdict.word == "nothing_visible"
+    told = as_kept(document(again, 1))
+    assert said(lambda at: diagnosis(told, at)) == []
+
+
 def test_what_a_verdict_says_is_left_follows_from_its_numbers() -> None:
     """That structure is left; a record from before that was said has none of it; another number is named."""
     (step,) = made_up.diagnosis(made_up.data("ripple", 3, 0.06), known=made_up.CATALOGUE[:1]).steps
@@ -115,6 +163,23 @@ def test_what_a_verdict_says_is_left_follows_from_its_numbers() -> None:
     assert said(lambda at: diagnosis(put(told, "sentence", verdict.sentence), at)) == []
     forged = put(told, "sentence", told["sentence"].replace("0.0001", "0.001"))
     assert said(lambda at: diagnosis(forged, at)) == [("sentence", "differs")]
+
+
+def test_an_error_that_stays_may_be_told_as_it_was_before(diagnosed: Plain) -> None:
+    """Lowered or raised to what it was; of other numbers it may not."""
+    told = put(diagnosed, "effects/0/held_out_after", diagnosed["effects"][0]["held_out_before"])
+    told["effects"] = told["effects"][:1]
+    again = decided([explanation_of(row) for row in told["effects"]], told["known"], str, lambda _: "")
+    told |= {"verdict": again.word, "set": list(again.set)}
+    (stays,) = re.findall(r"leaves the held-out error at (\S+ %)", again.sentence)
+    for words, verdicts in (
+        (f"leaves the held-out error at {stays}", []),
+        (f"raises the held-out error from {stays} to {stays}", []),
+        (f"lowers the held-out error from {stays} to {stays}", []),
+        (f"lowers the held-out error from 9 % to {stays}", [("sentence", "differs")]),
+    ):
+        sentence = again.sentence.replace(f"leaves the held-out error at {stays}", words)
+        assert said(partial(diagnosis, told | {"sentence": sentence})) == verdicts
 
 
 def test_a_forged_map_of_residuals_is_named(found: Diagnosis, diagnosed: Plain) -> None:

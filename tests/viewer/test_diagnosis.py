@@ -246,6 +246,21 @@ def test_the_page_of_a_ladder_has_every_rung(tmp_path: Path) -> None:
     picture_loads_nothing(picture)
 
 
+def test_the_page_of_a_ladder_has_the_curves_that_are_beside_images(tmp_path: Path) -> None:
+    """Their error, held-out error and noise; a dash for a version that has none."""
+    document, path = ladder(), tmp_path / "ladder.html"
+    document["rungs"][1] |= {
+        "curves_fitted_percent": 0.31,
+        "curves_held_out_percent": 0.33,
+        "curves_noise_percent": 0.3,
+    }
+    draw_ladder(document, {}, path)
+    parsed = loads_nothing(path.read_text(encoding="utf-8"))
+    for told in ("error of curves (%)", "1 compare data 2.41 2.5 0.79 - - - 0.0001 -",
+                 "2 add edge_walls 0.83 0.85 0.79 0.31 0.33 0.3 0.42 edge_walls"):  # fmt: skip
+        assert told in parsed.text, told
+
+
 def test_the_bars_of_a_ladder_are_its_errors() -> None:
     """Fitted and held out by version, no bar where there is no number, the noise as a line."""
     (axes,) = ladder_figure(ladder()).axes

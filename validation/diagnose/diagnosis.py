@@ -52,45 +52,43 @@ class Means:
     progress: Progress = lambda *_: None
 
 
-def diagnosed(
-    ground: Ground, effects: Sequence[EffectSpec], means: Means, *, seed: int = 1, level: float = LEVEL
-) -> Diagnosis:
+def diagnosed(ground: Ground, effects: Sequence[EffectSpec], means: Means, *, seed: int = 1) -> Diagnosis:
     """The rounds of a diagnosis; effects that the model has are not tried again."""
 
     def step_on(ground: Ground) -> Step:
         present = {one.name for one in ground.fit.model.effects}
-        return _step(ground, [one for one in effects if one.name not in present], means, seed, level)
+        return _step(ground, [one for one in effects if one.name not in present], means, seed)
 
     steps: list[Step] = []
     while True:
         step = step_on(ground)
         steps.append(step)
         fit = step.leads_to
-        if fit is None or step.best.p_left >= level / 2.0 or len(steps) == MOST_STEPS:
+        if fit is None or step.best.p_left >= LEVEL / 2.0 or len(steps) == MOST_STEPS:
             break
         ground = means.ground_of(fit)
-    part = _as_part(steps[0], len(effects), level)
+    part = _as_part(steps[0], len(effects))
     if part is not None and part.leads_to is not None:
         rest = step_on(means.ground_of(part.leads_to))
-        steps = [part, rest] if is_the_rest(part, rest, level) else steps
+        steps = [part, rest] if is_the_rest(part, rest) else steps
     first, *further = trusted(steps)
     is_open = first is part or first.verdict.word == "cannot_tell_apart"
-    if further and is_open and is_the_rest(first, further[-1], level):
+    if further and is_open and is_the_rest(first, further[-1]):
         beside = tuple(one.best.name for one in further)
-        verdict, proposals = _verdict_on(first, len(effects), means, level, beside)
+        verdict, proposals = _verdict_on(first, len(effects), means, beside)
         first = replace(first, verdict=verdict, proposals=proposals, beside=beside)
     return Diagnosis((first, *further), len(effects))
 
 
-def _as_part(step: Step, known: int, level: float) -> Step | None:
+def _as_part(step: Step, known: int) -> Step | None:
     """The round with the effect that explains most named, where it explains too little to be named alone."""
     if step.verdict.names or not step.explanations:
         return None
-    return replace(step, verdict=decided(step.explanations, known, str, lambda _: "", level, beside=()))
+    return replace(step, verdict=decided(step.explanations, known, str, lambda _: "", beside=()))
 
 
 def _verdict_on(
-    tried: Tried | Step, known: int, means: Means, level: float, beside: Collection[str] | None = None
+    tried: Tried | Step, known: int, means: Means, beside: Collection[str] | None = None
 ) -> tuple[Verdict, tuple[Proposal, ...]]:
     """The verdict on what was tried in a round, and the measurements that it asks for."""
     proposals: list[Proposal] = []
@@ -103,11 +101,11 @@ def _verdict_on(
         return next_in_words(proposals, left_out_of(rivals), images=bool(fit.problem.images))
 
     left = partial(left_in_words, tried.ground, tried.explanations)
-    verdict = decided(tried.explanations, known, left, next_image, level, beside=beside)
+    verdict = decided(tried.explanations, known, left, next_image, beside=beside)
     return verdict, tuple(proposals)
 
 
-def _step(ground: Ground, effects: Sequence[EffectSpec], means: Means, seed: int, level: float) -> Step:
+def _step(ground: Ground, effects: Sequence[EffectSpec], means: Means, seed: int) -> Step:
     fit = ground.fit
     if doubts := beyond_limits(fit):
         nobody = Confounding((), np.zeros((0, 0)))
@@ -115,23 +113,22 @@ def _step(ground: Ground, effects: Sequence[EffectSpec], means: Means, seed: int
     means.progress(0.1, "signatures of the effects")
     candidates = means.signatures(fit, effects)
     projected, scored = _scored(ground, candidates, seed)
-    visible = is_visible(ground.structure.p, scored.p, level)
-    if visible and (faint := blurred(scored)):
+    if is_visible(ground.structure.p, scored.p) and (faint := blurred(scored)):
         means.progress(0.18, "signatures by more Monte Carlo")
         closer = means.closely(fit, [one for one in effects if one.name in faint])
         candidates = [one for one in candidates if one.effect.name not in faint] + closer
         projected, scored = _scored(ground, candidates, seed)
     best = {one.name: columns_of(fit, projected, one.best.candidate) for one in scored.effects}
     alike = confounding(best)
-    if not visible:
-        nothing = nothing_visible(limits_in_words(scored, level), more_in_words(fit))
+    if not is_visible(ground.structure.p, scored.p):
+        nothing = nothing_visible(limits_in_words(scored), more_in_words(fit))
         verdict = not_trustworthy(fit.distrust) if fit.distrust else nothing
         return Step(ground, scored, alike, (), (), verdict)
     tried = Tried(ground, projected, best, short_list(fit, scored, alike))
     tried.refit(means.progress)
     tried.finish(means.progress)
     tried.look_into_group(means.members_fit, means.ground_of)
-    verdict, proposals = _verdict_on(tried, len(effects), means, level)
+    verdict, proposals = _verdict_on(tried, len(effects), means)
     return Step(ground, scored, alike, tuple(tried.refits), tuple(tried.explanations), verdict, proposals)
 
 

@@ -136,6 +136,7 @@ def effect_document(step: Step, one: Explanation) -> dict[str, Any]:
         "p_left": one.p_left,
         "sigma": one.sigma,
         "sigma_rival": one.sigma_rival,
+        "numbers": one.numbers,
         "group": [name for name in step.confounding.group_of(one.name) if name != one.name],
     }
 

@@ -30,7 +30,7 @@ from validation.diagnose.anew import (
     total_chi2,
 )
 from validation.diagnose.frozen import FrozenImages, frozen_at, without
-from validation.diagnose.refit import posed
+from validation.diagnose.refit import LEAST_SHARE, posed
 from validation.diagnose.refitted import Refitted, Words, added, limits_of, path_of, with_fit
 from validation.effects.agreed import agreed
 from validation.effects.known import CHIP, applied, is_smooth, with_effect
@@ -269,14 +269,18 @@ def _about_its_value(found: Refitted, predictor: ImagePredictor, histories: int)
 
 
 def _sloped(found: Refitted, fit: Fit, predictor: ImagePredictor, anchor: Anchored) -> ImagePredictor:
-    """The fit's predictor with the slopes of the images by the effect as they are at the fit's own values."""
+    """The fit's predictor with the slopes of the images by the effect as they are at the fit's own values.
+
+    One by a square that is at off keeps that of its column, which was taken there: nothing has a slope by its root.
+    """
     frozen = fit.problem.predictor
     if not isinstance(frozen, FrozenImages):
         return frozen
     views, slopes = fit.problem.views(fit.model, fit.problem.unknowns.named(fit.values)), {**frozen.slopes}
     for path, one in zip(found.paths, (found.candidate, *found.candidate.others), strict=True):
-        if path in slopes:
-            lower, upper = limits_of(one.parameter)
+        lower, upper = limits_of(one.parameter)
+        at_off = path in frozen.squares and fit.value(path) < LEAST_SHARE * (upper - lower)
+        if path in slopes and not at_off:
             steps = stencil(partial(_moved, fit, path), SLOPE_SHARE * (upper - lower), path)
             squared = 2.0 * fit.value(path) if path in frozen.squares else 1.0
             images = _slope(steps, views, predictor, anchor, squared)

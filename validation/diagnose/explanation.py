@@ -12,6 +12,7 @@ from validation.diagnose.held_out import Change
 from validation.fit import AT_LIMIT
 
 LEVEL = 0.01
+"""Chance that a diagnosis sees something where nothing is; structure and scores have half of it each."""
 FOLLOWS = "follows the field"
 
 
@@ -52,11 +53,13 @@ class Explanation:
     """Length of its whitened image after what is fitted has been projected out."""
     sigma_rival: dict[str, float]
     """The same also after each rival."""
+    numbers: int = 1
+    """Of the effect that were fitted, what shapes it among them; of a group its spread, of a switch whether it is."""
 
-    def doubts(self, level: float = LEVEL) -> tuple[str, ...]:
+    def doubts(self) -> tuple[str, ...]:
         """Why the fit with it may not be trusted; where structure is left, but for limits, to which what is missing
         yet drives parameters."""
-        leaves = self.p_left < level / 2.0
+        leaves = self.p_left < LEVEL / 2.0
         return tuple(one for one in self.distrust if not (leaves and AT_LIMIT in one))
 
     @property
@@ -71,9 +74,9 @@ class Explanation:
         return size_in_words(self.parameter, self.value, self.error, self.unit, shape, self.as_well, self.at_end)
 
 
-def follows_field(by_place: float | None, level: float = LEVEL) -> bool:
+def follows_field(by_place: float | None) -> bool:
     """Whether a group's members follow the field so closely that it is no doing of chips."""
-    return by_place is not None and by_place < level / 2.0
+    return by_place is not None and by_place < LEVEL / 2.0
 
 
 def size_in_words(

@@ -21,17 +21,17 @@ FEW = 3
 """Limits and regions that a sentence names; tables have them all."""
 
 
-def limits_in_words(scored: Scores, level: float) -> list[str]:
+def limits_in_words(scored: Scores) -> list[str]:
     """Above which size the most visible effects would have been seen with 90 % power, and how many more there are."""
-    found = limits(scored, level)
+    found = limits(scored)
     words = [f"{name} {value:.2g} {unit}".rstrip() for name, _, value, unit in found[:FEW]]
     return words + ([f"{len(found) - FEW} more in the table"] if len(found) > FEW else [])
 
 
-def limits(scored: Scores, level: float = LEVEL) -> list[tuple[str, str, float, str]]:
+def limits(scored: Scores) -> list[tuple[str, str, float, str]]:
     """(effect, parameter, value, unit) of the size that is seen with 90 % power, of all that can be tested."""
     count = max(len(scored.effects), 1)
-    wanted = float(ndtri(POWER) - ndtri(level / 4.0 / count))
+    wanted = float(ndtri(POWER) - ndtri(LEVEL / 4.0 / count))
     found = []
     for one in scored.effects:
         candidate = one.best.candidate

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,13 +12,15 @@ from luxloop.errors import InputError
 from luxloop.model import Model
 from luxloop.model_file import parse_toml
 from validation.diagnose.ground import Ground
-from validation.diagnose.held_out import folds_by_blocks, folds_of, held_out
+from validation.diagnose.held_out import folds_by_blocks, folds_of, held_out, level_of, percent
+from validation.fit import Fit
 from validation.model_versions import Version
 from validation.sample_values import is_by_sample
 
 NAMES = {
     "fitted_percent": "fitted %", "held_out_percent": "held-out %", "blocks_percent": "held-out in blocks %",
-    "noise_percent": "noise %", "p": "p",
+    "noise_percent": "noise %", "p": "p", "curves_fitted_percent": "curves: fitted %",
+    "curves_held_out_percent": "curves: held-out %", "curves_noise_percent": "curves: noise %",
 }  # fmt: skip
 """Of the numbers of a rung: how a version's errors call them."""
 BEFORE = "before: "
@@ -37,34 +39,46 @@ class Rung:
     p: float
     blocks_percent: float | None = None
     """Of halves of every image, left out in turn: what tells of values that each sample has of its own."""
+    curves_fitted_percent: float | None = None
+    """Of curves beside images, of their mean value; effects on films are seen in them alone."""
+    curves_held_out_percent: float | None = None
+    curves_noise_percent: float | None = None
 
     @classmethod
     def of(cls, ground: Ground, blocks: bool = False) -> Rung:
         """Of a fit and its structure; `blocks`: halves of the images are left out, too."""
-        fit = ground.fit
-        squares, noise, level, count = 0.0, 0.0, 0.0, 0
-        for number, (image, signal) in enumerate(zip(fit.problem.images, fit.signals_dn, strict=True)):
-            used = image.used
-            squares += float(np.sum((image.signal_dn - signal)[used] ** 2))
-            noise += float(np.sum(fit.variance_dn2(number)[used]))
-            level, count = level + float(np.sum(signal[used])), count + int(used.sum())
-        if not count:  # spectra alone: of their mean value
-            rows = fit.residual * np.concatenate([*fit.whitening.curve_sigma])
-            squares, count = float(rows @ rows), len(rows)
-            noise = float(sum(np.sum(sigma**2) for sigma in fit.whitening.curve_sigma))
-            level = float(sum(np.sum(np.abs(curve.value)) for curve in fit.problem.curves))
-        percent = 100.0 * np.sqrt(count) / level
-        folds = folds_of(fit)
-        held = held_out(fit, folds).rms_percent if folds else None
+        fit, folds = ground.fit, folds_of(ground.fit)
+        held = held_out(fit, folds) if folds else None
         halves = held_out(fit, folds_by_blocks(fit)).rms_percent if blocks else None
-        error, floor = float(percent * np.sqrt(squares)), float(percent * np.sqrt(noise))
-        return cls(error, held, floor, ground.structure.p, halves)
+        fitted, noise = _percents(fit, curves=not fit.problem.images)
+        rung = cls(fitted, None if held is None else held.rms_percent, noise, ground.structure.p, halves)
+        if not (fit.problem.images and fit.problem.curves):
+            return rung
+        fitted, noise = _percents(fit, curves=True)
+        left_out = None if held is None else held.curves_percent
+        return replace(
+            rung, curves_fitted_percent=fitted, curves_held_out_percent=left_out, curves_noise_percent=noise
+        )
 
     def errors(self, lead: str = "") -> dict[str, float]:
         """As a version keeps them."""
         return {
             f"{lead}{words}": value for name, words in NAMES.items() if (value := getattr(self, name)) is not None
         }
+
+
+def _percents(fit: Fit, *, curves: bool) -> tuple[float, float]:
+    """The error in what was fitted and that of noise alone, of the images or of the curves."""
+    if curves:
+        sigma = np.concatenate([*fit.whitening.curve_sigma])
+        squares, variance = (fit.residual[fit.whitening.count :] * sigma) ** 2, sigma**2
+    else:
+        images = fit.problem.images
+        left = [(one.signal_dn - dn)[one.used] for one, dn in zip(images, fit.signals_dn, strict=True)]
+        squares = np.concatenate(left) ** 2
+        variance = np.concatenate([fit.variance_dn2(number)[one.used] for number, one in enumerate(images)])
+    level = level_of(fit, curves=curves)
+    return percent(squares, level), percent(variance, level)
 
 
 def ladder(known: Sequence[Version], texts: Mapping[int, str]) -> dict[str, Any]:

@@ -34,7 +34,7 @@ class Refitted:
     residual: Real
     """(row,), whitened."""
     chi2: float
-    """Of data and priors; of an effect that the twin cannot represent its line's, about the base's own anchor."""
+    """Of data and priors; of an effect that is no smooth one its line's."""
     driven: bool
     """A parameter of the effect to its limit: beyond it chi2 would fall by more than noise does."""
     model: Model | None
@@ -45,7 +45,8 @@ class Refitted:
     as_well: tuple[Words, ...] = ()
     """Other words of its shape, with which it fits as well."""
     line: Fit | None = None
-    """Of an effect that the twin cannot represent, fitted about its own value: the fit about the base's anchor."""
+    """Of an effect that is no smooth one, fitted about its own value: the fit before that, about the base's anchor
+    unless it was led out of a corner."""
 
     @property
     def at_end(self) -> bool:
@@ -54,7 +55,8 @@ class Refitted:
 
     @property
     def beside_base(self) -> Fit | None:
-        """The fit that has the base's noise of Monte Carlo: what can be held against the base, value by value."""
+        """What is held against the base, value by value: with the base's noise of Monte Carlo, as long as it is not
+        about an anchor of its own. Then the noise of two runs is in the difference (`held_out.change`)."""
         return self.fit if self.line is None else self.line
 
     @property
@@ -71,6 +73,12 @@ class Refitted:
         """Of the parameters that act, the one that scored first."""
         tried = (self.candidate, *self.candidate.others)
         return tuple(path_of(one.effect.name, one.parameter.name) for one in tried)
+
+    @property
+    def numbers(self) -> int:
+        """How many of the effect's numbers were fitted, lengths among them; of a group and a switch 1."""
+        known = () if self.fit is None else self.fit.problem.unknowns.model_paths
+        return max(1, sum(path.startswith(path_of(self.candidate.effect.name, "")) for path in known))
 
     @property
     def size(self) -> dict[str, float]:

@@ -104,19 +104,19 @@ def trusted(steps: Sequence[Step]) -> list[Step]:
     return found
 
 
-def is_a_guess(best: Explanation, level: float = LEVEL) -> bool:
+def is_a_guess(best: Explanation) -> bool:
     """Whether an effect explains less than half, or is a group, and leaves structure."""
-    return (best.share.value < HALF or best.has_members) and best.p_left < level / 2.0
+    return (best.share.value < HALF or best.has_members) and best.p_left < LEVEL / 2.0
 
 
-def is_the_rest(part: Step, rest: Step, level: float = LEVEL) -> bool:
+def is_the_rest(part: Step, rest: Step) -> bool:
     """Whether the effect of a further round explains all that a part leaves, and the part is still there beside it.
 
     Neither may be a group, which takes most of anything (what leads on has numbers of a model), nor be in doubt.
     """
     if part.kept is None or rest.leads_to is None or rest.best.has_members or rest.best.distrust:
         return False
-    return rest.best.p_left >= level / 2.0 and _still_there(part.kept, rest.leads_to)
+    return rest.best.p_left >= LEVEL / 2.0 and _still_there(part.kept, rest.leads_to)
 
 
 def _still_there(first: Refitted, both: Fit) -> bool:

@@ -227,6 +227,7 @@ def _explanation(
         p_left=ground.judged(found.residual).p,
         sigma=length,
         sigma_rival=beside,
+        numbers=found.numbers,
     )
 
 
@@ -272,4 +273,4 @@ def _held_out(
     if not folds:
         return None, None
     before, after = held.held_out(base, folds), held.held_out(fit, folds)
-    return held.change(before, after), (before.rms_percent, after.rms_percent)
+    return held.change(before, after), (before.percent_of(effect), after.percent_of(effect))

@@ -5,11 +5,11 @@
     nothing_visible       neither structure nor any effect's score is unlikely, each at half the level
     none_of_the_known     the best effect explains less than half of the structure by an error (by two, where the
                           share is known to no better than 0.15), or lowers chi2 by no more than noise does of so
-                          many effects (14 of 32), and structure is left; or all that was kept, round
-                          by round, explains less than 0.8, and structure is left; or a group is all that was kept,
-                          and structure is left: with a number for each chip it takes most of anything (one whose
-                          members follow the field is not even tried: chips know nothing of it). Not where a
-                          second effect explains all that the best one leaves: both are named
+                          many effects (15 by one number of 43 effects, 18 by two), and structure is left; or all
+                          that was kept, round by round, explains less than 0.8, and structure is left; or a group is
+                          all that was kept, and structure is left: with a number for each chip it takes most of
+                          anything (one whose members follow the field is not even tried: chips know nothing of it).
+                          Not where a second effect explains all that the best one leaves: both are named
     cannot_tell_apart     a rival explains nearly as much, and less than 5 sigma would be left of the one beside it,
                           or the two fits are nearer to each other than that
     one_effect            else
@@ -80,9 +80,9 @@ def nothing_visible(limits: Sequence[str], more: str = "") -> Verdict:
     )
 
 
-def is_visible(p_structure: float, p_scores: float, level: float = LEVEL) -> bool:
+def is_visible(p_structure: float, p_scores: float) -> bool:
     """Whether there is anything to explain; each test has half of the level."""
-    return min(p_structure, p_scores) < level / 2.0
+    return min(p_structure, p_scores) < LEVEL / 2.0
 
 
 def decided(
@@ -90,7 +90,6 @@ def decided(
     known: int,
     left: Callable[[], str],
     next_image: Callable[[Sequence[str]], str],
-    level: float = LEVEL,
     *,
     beside: Collection[str] | None = None,
 ) -> Verdict:
@@ -104,12 +103,12 @@ def decided(
     beside : effects that explain, in a fit with the best one, all that it leaves: it need not explain half by itself,
     and they are no rivals of it. None: it is alone.
     """
-    usable = _in_order([one for one in explanations if one.plausible], level)
-    too_little = bool(usable) and beside is None and _explains_too_little(usable[0], level)
-    if not usable or too_little or _is_noise(usable[0], known, level):
+    usable = _in_order([one for one in explanations if one.plausible])
+    too_little = bool(usable) and beside is None and _explains_too_little(usable[0])
+    if not usable or too_little or _is_noise(usable[0], known):
         return none_of_the_known(known, max((one.share.value for one in explanations), default=0.0), left())
     best, others = usable[0], usable[1:]
-    if best.distrust and best.p_left >= level / 2.0:  # else another effect may be what drives it there
+    if best.distrust and best.p_left >= LEVEL / 2.0:  # else another effect may be what drives it there
         return doubted(best)
     alike = [one for one in others if _alike(best, one)]
     names = (best.name, *(one.name for one in alike))
@@ -123,9 +122,7 @@ def decided(
         return Verdict("cannot_tell_apart", sentence, names, tuple(told[1:]))
     held = "a held-out test is not possible with these data"
     if best.held_out_percent is not None:
-        before, after = best.held_out_percent
-        moves = "lowers" if after < before else "raises"
-        held = f"{moves} the held-out error from {before:.3g} % to {after:.3g} %"
+        held = _moved(*best.held_out_percent)
     following = f" Next best: {_next_best(others[0])}." if others else ""
     sentence = (
         f"One effect explains the misfit: {best.name}, {best.size}."
@@ -144,13 +141,13 @@ def none_of_the_known(known: int, share: float, left: str) -> Verdict:
     return Verdict("none_of_the_known", sentence)
 
 
-def leaves_too_much(p_left: float, shares: Sequence[Share], level: float = LEVEL) -> bool:
+def leaves_too_much(p_left: float, shares: Sequence[Share]) -> bool:
     """Whether structure is left with all effects that were kept, and they explain too little for it to be noise.
 
     `shares`: of the structure that each round found, each with one of its errors in its favour.
     """
     left = math.prod(1.0 - min(max(one.value + one.error, 0.0), 1.0) for one in shares)
-    return p_left < level / 2.0 and 1.0 - left < ENOUGH
+    return p_left < LEVEL / 2.0 and 1.0 - left < ENOUGH
 
 
 def concluded(
@@ -214,27 +211,27 @@ def doubted(best: Explanation) -> Verdict:
     return not_trustworthy([f"with {best.name} added, {reason}" for reason in best.distrust])
 
 
-def _in_order(usable: Sequence[Explanation], level: float) -> list[Explanation]:
+def _in_order(usable: Sequence[Explanation]) -> list[Explanation]:
     """By falling drop; before a group that leaves structure comes what lowers chi2 nearly as much and leaves none."""
     usable = sorted(usable, key=lambda one: -one.drop)
     best, others = next(iter(usable), None), usable[1:]
     if best is None:
         return []
-    if best.has_members and best.p_left < level / 2.0:
-        near = (one for one in others if one.p_left >= level / 2.0 and one.drop > (1.0 - 2.0 * ALIKE) * best.drop)
+    if best.has_members and best.p_left < LEVEL / 2.0:
+        near = (one for one in others if one.p_left >= LEVEL / 2.0 and one.drop > (1.0 - 2.0 * ALIKE) * best.drop)
         best = next(near, best)
     return [best, *(one for one in usable if one is not best)]
 
 
-def _explains_too_little(best: Explanation, level: float) -> bool:
+def _explains_too_little(best: Explanation) -> bool:
     """Less than half, with its error (twice it where that is wide), while structure is left."""
     errors = 1.0 if best.share.decides else 2.0
-    return best.share.value + errors * best.share.error < HALF and best.p_left < level / 2.0
+    return best.share.value + errors * best.share.error < HALF and best.p_left < LEVEL / 2.0
 
 
-def _is_noise(best: Explanation, known: int, level: float) -> bool:
-    """Whether noise alone would lower chi2 as much by one of so many effects, while structure is left."""
-    return best.drop < chdtri(1, level / 2.0 / max(known, 1)) and best.p_left < level / 2.0
+def _is_noise(best: Explanation, known: int) -> bool:
+    """Whether noise alone would lower chi2 as much by as many numbers of one of so many effects, structure left."""
+    return best.drop < chdtri(best.numbers, LEVEL / 2.0 / max(known, 1)) and best.p_left < LEVEL / 2.0
 
 
 def _alike(best: Explanation, other: Explanation) -> bool:
@@ -266,6 +263,13 @@ def _by_fits(best: Explanation, rivals: Sequence[Explanation]) -> str:
     """How near the fits are, where columns alone would tell a rival: what `next` says of now is by columns."""
     near = [_sigma_by_fits(best, one) for one in rivals if _sigma_by_columns(best, one) >= TOLD_APART]
     return f" (fits {min(near):.1f} sigma apart)" if near else ""
+
+
+def _moved(before: float, after: float) -> str:
+    """What becomes of the held-out error, in percent."""
+    if f"{before:.3g}" == f"{after:.3g}":
+        return f"leaves the held-out error at {before:.3g} %"
+    return f"{'lowers' if after < before else 'raises'} the held-out error from {before:.3g} % to {after:.3g} %"
 
 
 def _next_best(other: Explanation) -> str:

@@ -15,10 +15,11 @@ T = TypeVar("T")
 STEPS = {
     "active_layer_depth": 0.2, "n_gan": 0.03, "n_aln": 0.03, "gan_layer_nm": 2.0, "aln_layer_nm": 2.0,
     "peak_nm": 3.0, "fwhm_nm": 3.0, "thickness_nm": 0.01, "a": 1e-4, "b_um2": 1e-5,
+    "effects.film_missing_layer.thickness_nm": 0.01, "effects.film_interlayer.thickness_nm": 0.01,
 }  # fmt: skip
-"""By the last part of a path, in its own unit. Those of chips are large: what emits elsewhere in the chip is walked
-anew, and shorter steps leave more noise than longer ones bend (of the derivative by a layer at 0.99 T, 1.3 to 1.8 at
-0.02, 0.6 to 0.8 here, both from 65,536 histories)."""
+"""By the last part of a path, of an effect's by the whole of it, in its own unit. Those of chips are large: what
+emits elsewhere in the chip is walked anew, and shorter steps leave more noise than longer ones bend (of the
+derivative by a layer at 0.99 T, 1.3 to 1.8 at 0.02, 0.6 to 0.8 here, both from 65,536 histories)."""
 SHARE = 0.02
 """Of a value, or of the range of its fit, where no step is stated."""
 
@@ -48,8 +49,8 @@ def moved_models(model: Model, path: str, share: float = SHARE) -> list[Moved[Mo
 
 
 def step_of(path: str, otherwise: float) -> float:
-    """The stated step of a parameter, or another one."""
-    return STEPS.get(path.rpartition(".")[2], otherwise)
+    """The stated step of a parameter, or another one; what an effect's number is called says nothing of it."""
+    return STEPS.get(path if path.startswith("effects.") else path.rpartition(".")[2], otherwise)
 
 
 def stencil(moved: Callable[[float], T], step: float, name: str) -> list[Moved[T]]:

@@ -161,6 +161,14 @@ def images_of(truth: Model, seed: int) -> list[MeasuredImage]:
     return images
 
 
+def noise_percent(found: Fit) -> float:
+    """What a right model leaves in the images: rms of the camera's noise over the mean signal, in percent."""
+    several = list(zip(found.problem.images, found.signals_dn, strict=True))
+    variance = np.concatenate([image.noise_dn2(signal)[image.used] for image, signal in several])
+    level = np.mean(np.concatenate([signal[image.used] for image, signal in several]))
+    return float(100.0 * np.sqrt(np.mean(variance)) / level)
+
+
 def hidden(effect: str, common: Mapping[str, Value], **samples: Mapping[str, Value]) -> Model:
     """A truth in which samples have their own of an effect."""
     return MODEL.model_copy(

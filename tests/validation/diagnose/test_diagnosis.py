@@ -84,6 +84,7 @@ def test_one_effect_is_named_with_its_size() -> None:
     assert best.log_evidence > 10.0
     assert dict(found.steps[0].refits[0].candidate.shape) == {"length_um": 300.0}
     assert dict(best.shape) == pytest.approx({"length_um": 300.0}, rel=0.01)
+    assert best.numbers == 2  # its length was fitted, too
     assert "(length_um 299" in found.verdict.sentence or "(length_um 300" in found.verdict.sentence
     scored, base = found.steps[0].scores.of("stripes"), found.steps[0].ground.fit
     assert scored is not None
@@ -108,6 +109,7 @@ def test_all_numbers_of_an_effect_that_act_are_fitted_together(a: float, b: floa
     (written,) = (one.parameters for one in best.fit.model.effects)
     assert set(written) == {"a", "b"}  # what `add` writes, both of them free
     assert {"effects.rise.a", "effects.rise.b"} <= set(free_paths(best.fit.model))
+    assert first.numbers == 2
     ((other, value),) = first.shape
     assert {first.parameter, other} == {"a", "b"}
     assert f"({other} {value:.4g})" in found.verdict.sentence
@@ -121,7 +123,7 @@ def test_a_number_that_goes_to_the_end_of_its_range_is_left_off_beside_the_one_t
     truth = MODEL.model_copy(update={"effects": (AppliedEffect(name="rise", parameters={"a": 0.08, "b": 0.012}),)})
     found = diagnosis(images_of(truth, 3), known=(known, *CATALOGUE))
     (first,) = (one for one in found.steps[0].explanations if one.name == "rise")
-    assert (first.plausible, first.parameter, first.shape) == (True, "a", ())
+    assert (first.plausible, first.parameter, first.shape, first.numbers) == (True, "a", (), 1)
     assert found.verdict.set[:1] == ("rise",)
     assert abs(first.value - 0.08) < 4.0 * first.error
 

@@ -7,7 +7,6 @@ import pytest
 
 from tests.validation.analytic import ARRAY, MODEL, Spots
 from tests.validation.diagnose.made_up import CATALOGUE, GAIN, data, diagnosis
-from validation.diagnose.explanation import LEVEL
 from validation.diagnose.in_words import FEW, limits, limits_in_words, more_in_words
 from validation.fit import fit
 from validation.prediction import Anchored
@@ -48,7 +47,7 @@ def test_a_limit_is_so_many_errors_as_level_and_power_ask_for() -> None:
     effects = diagnosis(data(None, 1)).steps[0].scores
     wanted = {one.name: (3.2272 + 1.2816) * one.best.error for one in effects.effects}
     wanted["fog"] = np.sqrt(wanted["fog"])  # its image goes with the square
-    found = {name: value for name, _, value, _ in limits(effects, 0.01)}
+    found = {name: value for name, _, value, _ in limits(effects)}
     assert len(wanted) == 4
     assert found == pytest.approx({name: wanted[name] for name in found}, rel=1e-4)
     assert {"ripple", "fog"} < set(found)
@@ -57,6 +56,6 @@ def test_a_limit_is_so_many_errors_as_level_and_power_ask_for() -> None:
 def test_a_sentence_names_a_few_limits_and_counts_the_others() -> None:
     """All of them stand in the table."""
     scores = diagnosis(data(None, 1)).steps[0].scores
-    words = limits_in_words(scores, LEVEL)
+    words = limits_in_words(scores)
     assert len(words) == FEW + 1
     assert words[-1] == f"{len(CATALOGUE) - FEW} more in the table"

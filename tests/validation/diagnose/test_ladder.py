@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from tests.validation.analytic import SINGLE, TRUTH, Spots, blank, measured
-from tests.validation.diagnose.made_up import GAIN, ground_of
-from validation.diagnose.ladder import Rung
-from validation.fit import fit
+from tests.validation.analytic import MODEL, PATHS, SINGLE, TRUTH, Spots, blank, measured
+from tests.validation.diagnose.made_up import GAIN, ground_of, images_of, spec
+from tests.validation.lines import SIGMA, Lines, fit_of_lines, noisy
+from validation import told_diagnosis
+from validation.adding import told_of
+from validation.diagnose.held_out import folds_by_blocks, held_out
+from validation.diagnose.ladder import Rung, ladder
+from validation.fit import CurveData, Fit, Parameter, fit
+from validation.model_versions import Version
 from validation.prediction import Anchored
 
 
@@ -25,3 +32,58 @@ def test_camera_pattern_and_monte_carlo_are_all_noise(prnu: float, share: float)
     rung = Rung.of(ground_of(found))
     assert rung.noise_percent == pytest.approx(wanted, rel=0.02)
     assert rung.held_out_percent is None
+
+
+def test_what_was_fitted_and_what_was_left_out_are_told_of_one_mean() -> None:
+    """Of a reflectance of 1,000 values and a psi of ten: a right model leaves the same noise in both."""
+    random = np.random.default_rng(3)
+    shapes = {"r": {"t": np.full(1000, 0.1)}, "psi": {"t": np.full(10, 30.0)}}
+    known = Parameter("t", prior_mean=1.0, prior_sd=1e-6)
+    found = fit_of_lines(shapes, {name: noisy(random, one["t"]) for name, one in shapes.items()}, [known])
+    rung = Rung.of(replace(ground_of(fit(TRUTH, images_of(TRUTH, 3), Spots(), free=())), fit=found))
+    assert rung.fitted_percent == pytest.approx(100.0 * 0.01 / (400.0 / 1010.0), rel=0.1)
+    assert rung.held_out_percent == pytest.approx(rung.fitted_percent, rel=0.1)
+
+
+def beside_images(*films: str) -> Fit:
+    """Images of the spots, and spectra of two films that lack a layer; which of their parameters are fitted."""
+    random, axis = np.random.default_rng(5), np.linspace(0.0, 1.0, 40)
+    shapes = {"thickness": 1.0 + axis, "layer": np.cos(6.0 * axis)}
+    curves = [
+        CurveData(name, noisy(random, shapes["thickness"] + 0.1 * shapes["layer"]), np.full(40, SIGMA), axis=axis)
+        for name in ("one", "other")
+    ]
+    predict = Lines({one.id: {name: shapes[name] for name in films} for one in curves})
+    others = [Parameter(name) for name in films]
+    return fit(MODEL, images_of(TRUTH, 3), Spots(), free=PATHS, curves=curves, predict_curves=predict, others=others)
+
+
+def test_an_effect_on_films_beside_images_is_judged_by_the_curves() -> None:
+    """The images know nothing of a film's layer: their error stays, that of the spectra falls to their noise."""
+    base, found = beside_images("thickness"), beside_images("thickness", "layer")
+    before, after = (held_out(one, folds_by_blocks(one)) for one in (base, found))
+    film = spec("layer").model_copy(update={"acts_on": ("films",)})
+    noise = 100.0 * SIGMA / np.mean(np.abs(base.problem.curves[0].value))
+    assert before.percent_of(film) > 3.0 * noise
+    assert after.percent_of(film) == pytest.approx(noise, rel=0.2)
+    for effect in (spec("ripple"), film.model_copy(update={"acts_on": ("modules", "films")})):
+        assert after.percent_of(effect) == pytest.approx(before.percent_of(effect), rel=1e-6)
+        assert after.percent_of(effect) == after.rms_percent
+    alone = fit(MODEL, images_of(TRUTH, 3), Spots(), free=PATHS)
+    assert held_out(alone, folds_by_blocks(alone)).percent_of(film) == pytest.approx(after.rms_percent, rel=1e-6)
+
+
+def test_a_ladder_has_the_errors_of_curves_beside_those_of_images() -> None:
+    """Fitted and held out, with their noise: without them no version would differ after a film's effect was added."""
+    told = told_of(MODEL, *(ground_of(beside_images(*films)) for films in (("thickness",), ("thickness", "layer"))))
+    assert told["after"]["curves_held_out_percent"] < 0.3 * told["before"]["curves_held_out_percent"]
+    assert told["after"]["curves_fitted_percent"] == pytest.approx(told["after"]["curves_noise_percent"], rel=0.2)
+    assert told["after"]["held_out_percent"] == pytest.approx(told["before"]["held_out_percent"], rel=1e-6)
+    lines = list(told_diagnosis.added(told | {"version": 2, "model": {"file": "model.toml"}, "warnings": []}))
+    assert any(line.startswith("held-out error, of the curves: ") for line in lines)
+    version = Version(number=1, file="model.toml", time="", command="add layer", sha256="", errors=told["errors"])
+    rows = ladder([version], {1: ""})
+    (rung,) = rows["rungs"]
+    assert rung["curves_held_out_percent"] == told["after"]["curves_held_out_percent"]
+    head, *_ = told_diagnosis.ladder(rows)
+    assert "error of curves" in head

@@ -381,3 +381,20 @@ def test_a_fit_by_the_twin_has_few_sets_of_derivatives(base: Fit) -> None:
     predictor.sets = 0
     by_twin(problem, start, below=0.0)
     assert predictor.sets == 1
+
+
+def test_an_effect_by_its_square_that_is_not_there_ends_at_off() -> None:
+    """No slope at off is told of its square by dividing by 0: the images have none of it, and its end is a fit."""
+    images = noisy(lambda view: Spots().images(MODEL, [view])[0].irradiance_per_mm2, 6)
+    base = fit(MODEL, images, Anchors(), free=PATHS, anchor_at=lambda model: Anchored(model, ANCHORED, seed=7))
+    score, effect = score_of(base), spec("ripple", square=True).model_copy(update={"twin": False})
+    sign = -np.sign(score.z)  # what is there by chance is on the side that does not exist
+    candidate = replace(
+        score.candidate, effect=effect, parameter=effect.parameters[0], columns=sign * score.candidate.columns,
+        parts=tuple(sign * one for one in score.candidate.parts),
+    )  # fmt: skip
+    found = freed(base, replace(score, candidate=candidate, size=-abs(score.size)), slopes_of(base))
+    assert found.value == 0.0
+    ended = finished(found, base.problem.predictor, None)
+    assert ended.value == pytest.approx(0.0, abs=1e-3)
+    assert ended.chi2 == pytest.approx(found.chi2, abs=1.0)

@@ -112,6 +112,28 @@ def test_what_noise_does_of_so_many_effects_explains_no_structure() -> None:
     assert decided([replace(best, p_left=0.3)], 32, lambda: "", lambda _: "").word == "one_effect"
 
 
+@pytest.mark.parametrize(("numbers", "least"), [(1, 14.85), (2, 18.12), (3, 20.78)])
+def test_what_noise_does_grows_with_the_numbers_of_an_effect(numbers: int, least: float) -> None:
+    """The chance is meant to be 0.005 of 43 effects: by three numbers a fall of 14.85 has one of 0.002 each."""
+    best = replace(explanation("plane", 2.8, Share(0.01, 0.26), {}), p_left=0.0001, numbers=numbers)
+    words = [decided([replace(best, drop=drop)], 43, str, str).word for drop in (least - 0.05, least + 0.05)]
+    assert words == ["none_of_the_known", "one_effect"]
+
+
+@pytest.mark.parametrize(
+    ("after", "words"),
+    [
+        (1.61, "lowers the held-out error from 2.49 % to 1.61 %."),
+        (2.6, "raises the held-out error from 2.49 % to 2.6 %."),
+        (2.4901, "leaves the held-out error at 2.49 %."),
+    ],
+)
+def test_what_becomes_of_the_held_out_error_is_said_as_it_is_written(after: float, words: str) -> None:
+    """What is the same in three digits is neither lowered nor raised."""
+    best = replace(explanation("walls", 50.0, Share(0.9, 0.05), {}), held_out_percent=(2.49, after))
+    assert decided([best], 32, str, str).sentence.endswith(words)
+
+
 def test_a_sentence_ends_with_what_is_left() -> None:
     """Of rivals one may leave nothing: then nothing is said to be left. A further effect may explain a part of it."""
     leaves = replace(explanation("walls", 50.0, Share(0.9, 0.05), {}), p_left=0.0003)

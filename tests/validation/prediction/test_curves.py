@@ -15,6 +15,7 @@ from tests.validation.prediction.views import LOSS, SINGLE
 from tests.validation.workers import Workers
 from validation.dataset.manifest import FilmLayer, FilmSample
 from validation.prediction import Curve, FarView, Predictor
+from validation.prediction.differences import moved_models, step_of
 from validation.prediction.spectra import film_value, stack_of, with_film_value
 
 FILM = FilmSample(
@@ -91,6 +92,26 @@ def test_derivatives_of_curves_by_an_effect_are_those_of_the_model_moved(workers
     high, low = (predictor.spectra(with_layer.with_value(path, 1.5 + by), curves) for by in (0.02, -0.02))
     for one, above, below in zip(found, high, low, strict=True):
         np.testing.assert_allclose(one.jacobian[path], (above.value - below.value) / 0.04, rtol=1e-2)
+
+
+def test_an_effect_is_moved_by_a_share_of_its_range_whatever_its_numbers_are_called(model: Model) -> None:
+    """A user's haze with an a is no film's index, whose step is 1e-4; layers of the catalogue keep their steps."""
+
+    def step(effect: str, name: str, upper: float) -> float:
+        path = f"effects.{effect}.{name}"
+        of = {"effects": (AppliedEffect(name=effect, parameters={name: 0.5 * upper}),)}
+        free = {"fit": {path: Fit(free=True, lower=0.0, upper=upper)}}
+        low, high = (
+            one.what.leaves()[path] for one in moved_models(model.model_copy(update=of | free), path, 0.25)[::-1]
+        )
+        return 0.5 * (high - low)
+
+    assert step("my_haze", "a", 1.0) == pytest.approx(0.25)
+    assert step("my_film", "thickness_nm", 8.0) == pytest.approx(2.0)
+    for name in ("film_missing_layer", "film_interlayer"):
+        assert step(name, "thickness_nm", 8.0) == pytest.approx(0.01)
+    assert step_of("films.polymer.layers.0.a", 0.25) == 1e-4
+    assert step_of("environment.active_layer_depth", 0.25) == 0.2
 
 
 @pytest.mark.parametrize(
