@@ -125,6 +125,24 @@ def test_a_wrong_word_of_the_manifest_is_told(folder: Path, case: str) -> None:
         read_dataset(folder)
 
 
+@pytest.mark.parametrize(
+    ("one", "other", "value"),
+    [
+        ("dark_frames_averaged = 100", "dark_frames_averaged = 16", "16"),
+        ("dark_frames_averaged = 100", "", "None"),
+        ("", "frames_averaged = 4", "None"),
+    ],
+)
+def test_a_dark_has_one_count_of_frames(folder: Path, one: str, other: str, value: str) -> None:
+    """Said differently, or not said where it would be taken from images of different counts; told with the mend."""
+    edit(folder, "exposure_ms = 8.0", f"exposure_ms = 8.0\n{one}")
+    edit(folder, "exposure_ms = 4.0", f'exposure_ms = 4.0\ndark = "dark/dark.tif"\n{other}')
+    (told,) = found(folder)
+    assert (told.field, told.value) == ('shots["array"].dark_frames_averaged', value)
+    assert "single" in told.allowed
+    assert "in all shots that name it" in told.mend
+
+
 def test_all_faults_of_a_manifest_are_listed(folder: Path) -> None:
     """Not only the first."""
     edit(folder, "exposure_ms = 8.0", "exposure_ms = -1")

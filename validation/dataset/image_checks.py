@@ -185,7 +185,7 @@ def _of_noise(raw: Pixels, usable: NDArray[np.bool_], camera: CameraFacts, shot:
     signal, found, weight = law
     expected = (camera.gain_dn_per_e * signal + camera.dark_variance_dn2) / shot.frames_averaged
     if shot.dark is not None:
-        expected += camera.dark_variance_dn2 / (shot.dark_frames_averaged or shot.frames_averaged)
+        expected += camera.dark_variance_dn2 / shot.dark_frames
     expected += (camera.prnu_percent / 100.0 * signal) ** 2
     x, (y, z) = np.log(signal), np.log((found, expected))
     centred = x - np.average(x, weights=weight**2)

@@ -175,6 +175,11 @@ class ImageShot(Strict):
     frames_averaged: int = Field(1, ge=1, le=1_000_000, description="The noise variance is divided by it.")
     centre_px: Pair | None = Field(None, description="First guess (row, column) of the module's centre.")
 
+    @property
+    def dark_frames(self) -> int:
+        """Frames in its dark, as said or as many as it has itself."""
+        return self.dark_frames_averaged or self.frames_averaged
+
     def files(self) -> dict[str, str]:
         """The files it names, by field."""
         named = {name: getattr(self, name) for name in ("file", "dark", "flat", "mask")}
@@ -252,7 +257,7 @@ class Manifest(Strict):
 
 
 def contradictions(manifest: Manifest) -> Iterator[InputError]:
-    """What is wrong between the parts of a manifest: ids twice, shots of nothing, images without a camera."""
+    """What is wrong between its parts: ids twice, shots of nothing, no camera, a dark with two counts of frames."""
     samples, films = ([one.id for one in group] for group in (manifest.samples, manifest.films))
     yield from _twice("samples", samples)
     yield from _twice("films", films)
@@ -265,6 +270,19 @@ def contradictions(manifest: Manifest) -> Iterator[InputError]:
             yield InputError(f'shots["{shot.id}"].{field}', named, ", ".join(known) or "(there is none)", mend)
     if manifest.images() and manifest.camera is None:
         yield InputError("camera", None, "a [camera] section, since there are images", "luxloop dataset import asks")
+    yield from _miscounted_darks(manifest.images())
+
+
+def _miscounted_darks(shots: Iterable[ImageShot]) -> Iterator[InputError]:
+    """Darks of which two shots do not say the same number of frames, or leave it to their own."""
+    first: dict[str, ImageShot] = {}
+    for shot in shots:
+        if shot.dark is None or shot.dark_frames == first.setdefault(shot.dark, shot).dark_frames:
+            continue
+        known = first[shot.dark]
+        allowed = f"{known.dark_frames}, the frames of {shot.dark} by {known.id}"
+        mend = "say it in all shots that name it; left out, a dark has as many frames as the image"
+        yield InputError(f'shots["{shot.id}"].dark_frames_averaged', shot.dark_frames_averaged, allowed, mend)
 
 
 def _twice(field: str, ids: Iterable[str]) -> Iterator[InputError]:

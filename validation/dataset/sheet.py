@@ -21,8 +21,8 @@ from validation.writing import written
 DESIGN = ("distance_um", "width_um", "spacing_um", "thickness_um", "dbr_pairs")
 SAMPLE = ("layout", "rows", "columns", *DESIGN)
 FILES = ("dark", "flat", "mask")
-COLUMNS = ("file", "sample", *SAMPLE, "exposure_ms", "frames_averaged", *FILES)
-WHOLE = ("rows", "columns", "frames_averaged")
+COLUMNS = ("file", "sample", *SAMPLE, "exposure_ms", "frames_averaged", "dark_frames_averaged", *FILES)
+WHOLE = ("rows", "columns", "frames_averaged", "dark_frames_averaged")
 WORDS = ("file", "sample", "layout", *FILES)
 
 Value = str | float | int
