@@ -57,13 +57,14 @@ def test_a_folder_without_a_manifest_is_told_by_its_name(tmp_path: Path) -> None
 
 
 def test_chips_that_overlap_are_told_by_their_width(folder: Path) -> None:
-    """It had been the distance to the receiver."""
+    """It had been the distance to the receiver. A warning: a model may take spacing_um for the gap between chips."""
     text = (folder / "dataset.toml").read_text(encoding="utf-8")
     head, mark, many = text.partition('id = "many"')
     (folder / "dataset.toml").write_text(head + mark + many.replace("spacing_um = 400.0", "spacing_um = 30.0", 1))
-    finding = found(folder)[0]
-    assert finding.field.endswith("width_um")
+    finding = found(folder, "warning")[0]
+    assert finding.field == 'samples["many"].width_um'
     assert (finding.value, finding.mend) == ("40.0", "chips overlap: correct width_um or spacing_um")
+    assert "gap" in finding.allowed
 
 
 def test_an_image_smaller_than_what_it_is_compared_at_asks_for_its_pixel(folder: Path) -> None:
@@ -351,6 +352,14 @@ def test_a_pitch_that_contradicts_the_lattice_is_told(folder: Path, old: str, ne
     told = [finding for finding in found(folder) if finding.field == "pitch"]
     assert [finding.file for finding in told] == [ARRAY]
     assert "pixel_um = 2" in told[0].mend or "pixel_um = 3" in told[0].mend
+
+
+def test_a_spacing_may_be_the_gap_between_the_chips_of_the_lattice(folder: Path) -> None:
+    """Chips of 120 um, 280 um apart: 400 um from centre to centre, as in the image."""
+    before, mark, after = MANIFEST.partition('id = "many"')
+    wide = after.replace("width_um = 40.0", "width_um = 120.0").replace("spacing_um = 400.0", "spacing_um = 280.0")
+    (folder / "dataset.toml").write_text(before + mark + wide)
+    assert found(folder) == []
 
 
 def test_swapped_axes_are_told(folder: Path) -> None:

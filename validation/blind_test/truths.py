@@ -206,7 +206,7 @@ def sample_of(one: Sample) -> blind.Sample:
         return blind.Sample(
             id=one.id, rows=one.rows, columns=one.columns, distance_um=one.distance_um, width_um=one.width_um,
             spacing_um=one.spacing_um, thickness_um=one.thickness_um, dbr_pairs=one.dbr_pairs,
-            module_half_um=one.half_um,
+            module_half_um=one.half_um(),
         )  # fmt: skip
     except ValueError as error:
         raise _refused(error) from None

@@ -260,9 +260,11 @@ def _of_lattice(
 def _of_pitch(
     lattice: Lattice, expected_px: float, camera: CameraFacts, sample: Sample, shot: ImageShot
 ) -> Iterator[Told]:
-    off = lattice.pitch_px / expected_px - 1.0
+    """A pitch that is neither the spacing nor, as a model may take it, the spacing and a chip's width."""
+    readings_px = (expected_px, sample.pitch_um("gap") / camera.pixel_um)
+    off = min(abs(lattice.pitch_px / one - 1.0) for one in readings_px)
     many = max(lattice.rows, lattice.columns) >= 4
-    if abs(off) <= (PITCH_TOLERANCE if many else PITCH_TOLERANCE_OF_FEW):
+    if off <= (PITCH_TOLERANCE if many else PITCH_TOLERANCE_OF_FEW):
         return
     fitting_um = sample.spacing_um / lattice.pitch_px
     value = f"chips {lattice.pitch_px:.1f} px apart"

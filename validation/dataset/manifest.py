@@ -85,12 +85,15 @@ class Sample(Strict):
         """The design of its chips."""
         return Design(**{name: getattr(self, name) for name in Design.FIELDS})
 
-    @property
-    def half_um(self) -> float:
+    def pitch_um(self, spacing_is: Literal["pitch", "gap"] = "pitch") -> float:
+        """From chip centre to chip centre, by what a model takes `spacing_um` for."""
+        return self.spacing_um + (self.width_um if spacing_is == "gap" else 0.0)
+
+    def half_um(self, spacing_is: Literal["pitch", "gap"] = "pitch") -> float:
         """Half side of the square module: as given, or half a pitch past the outer chips, or 2000 for a single."""
         if self.module_half_um is not None:
             return self.module_half_um
-        return 2000.0 if self.layout == "single" else max(self.rows, self.columns) * self.spacing_um / 2.0
+        return 2000.0 if self.layout == "single" else max(self.rows, self.columns) * self.pitch_um(spacing_is) / 2.0
 
     @model_validator(mode="after")
     def _can_be_built(self) -> Sample:
@@ -101,11 +104,7 @@ class Sample(Strict):
             raise InputError("rows, columns", (self.rows, self.columns), "1, 1 for a single", 'or layout = "array"')
         if self.layout == "array" and self.rows * self.columns == 1:
             raise InputError("rows, columns", (1, 1), "at least two chips for an array", 'or layout = "single"')
-        if self.layout == "array" and self.width_um >= self.spacing_um:
-            allowed = f"below the pitch spacing_um, {self.spacing_um:g} um"
-            raise InputError("width_um", self.width_um, allowed, "chips overlap: correct width_um or spacing_um")
-        fitting = self if self.layout == "array" else self.model_copy(update={"spacing_um": 20_000.0})
-        if reason := fitting.design.feasibility():
+        if reason := self.design.feasibility(spacing_is="gap"):
             raise InputError("distance_um", self.distance_um, "a module that can be built, D >= T + 5", reason)
         return self
 
