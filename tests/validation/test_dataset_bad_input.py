@@ -391,6 +391,7 @@ TABLES = {
     "empty": ("spectra/t.csv", BELOW, "\n", "rows", ""),
     "far field sigma": ("far/g.csv", "0,0,1.0,0.01", "0,0,1.0,0", "line 2: sigma", "standard deviation"),
     "far field twice": ("far/g.csv", FAR_FIELD.splitlines()[2], "0,0,1,0.01", "line 3: duplicate", "line 2 has it"),
+    "a turn further": ("far/g.csv", "30,0,0.9,0.01", "30,-0.1,1,1\n30,359.9,1,1", "line 4: duplicate", "line 3"),
     "far field columns": ("far/g.csv", "theta_deg,phi_deg", "theta,phi", "line 1", "the first line names them"),
 }  # fmt: skip
 

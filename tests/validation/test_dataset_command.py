@@ -329,10 +329,11 @@ def test_import_refuses_files_it_cannot_read_and_leaves_nothing(tmp_path: Path, 
 @pytest.mark.parametrize(
     ("line", "field"),
     [("file,distance", "line 1"), ("distance_um\n1", "line 1"), ("file,rows\na.tif,2.5", "line 2: rows"),
+     ("file,exposure_ms,exposure_ms\na.tif,8,2", "line 1"),
      ("file,width_um\na.tif,4,0", "line 2"), ('file;width_um\na.tif;"4,0"', "line 2: width_um")],
 )  # fmt: skip
 def test_a_bad_table_is_refused(raw: Path, tmp_path: Path, line: str, field: str) -> None:
-    """Unknown columns, no files, no numbers, decimal commas."""
+    """Unknown columns, one twice, no files, no numbers, decimal commas."""
     (tmp_path / "t.csv").write_text(line + "\n")
     assert field in refusal("import", raw, "--into", tmp_path / "d", "--table", tmp_path / "t.csv").field
 

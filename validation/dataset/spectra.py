@@ -248,7 +248,7 @@ def _duplicates(rows: Sequence[tuple[int, Row]], columns: tuple[str, ...], name:
     """Rows that say the same place a second time."""
     first: dict[tuple[float | str, ...], int] = {}
     for line, row in rows:
-        key = tuple(_comparable(row[column].strip()) for column in columns)
+        key = tuple(_comparable(row[column].strip(), column) for column in columns)
         if key in first:
             place = ", ".join(row[column].strip() for column in columns)
             mend = f"line {first[key]} has it already: average the two"
@@ -256,8 +256,9 @@ def _duplicates(rows: Sequence[tuple[int, Row]], columns: tuple[str, ...], name:
         first.setdefault(key, line)
 
 
-def _comparable(cell: str) -> float | str:
+def _comparable(cell: str, column: str) -> float | str:
+    """The number in a cell; phi within one turn. A goniometer passes theta 0 in every plane: that is no duplicate."""
     try:
-        return float(cell)
+        return round(float(cell) % 360.0, 9) % 360.0 if column == "phi_deg" else float(cell)
     except ValueError:
         return cell
