@@ -53,7 +53,7 @@ def samples_of(samples: Sequence[Any]) -> list[Sample]:
     return [
         Sample(
             one.id, one.rows, one.columns, one.distance_um, one.width_um, one.spacing_um, one.thickness_um,
-            one.dbr_pairs, one.half_um,
+            one.dbr_pairs, one.half_um(),
         )
         for one in samples
     ]  # fmt: skip

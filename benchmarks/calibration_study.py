@@ -86,7 +86,7 @@ def truth_of(model: Model, samples: Sequence[Sample], histories: int, seed: int)
     light, noise = [], []
     for number, sample in enumerate(samples):
         scene = scene_for(model.environment, sample.design)
-        array = Array.regular(sample.rows, sample.columns, sample.spacing_um, sample.half_um)
+        array = Array.regular(sample.rows, sample.columns, sample.spacing_um, sample.half_um())
         scene = replace(scene, layout=array)
         solver = MonteCarlo(scene, 1000 * seed + number)
         tally = solver.run_to(blocks_of(histories * (2 if sample.layout == "array" else 1)))

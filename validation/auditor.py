@@ -22,10 +22,9 @@ from luxloop.journal.reader import RunJournal
 from luxloop.model_file import parse_toml
 from validation.asked import COMMAND as ASKED
 from validation.asked import asked_in
-from validation.comparing import sentence_of
 from validation.dataset.folder import read_dataset
 from validation.dataset.manifest_file import MANIFEST
-from validation.redeciding import changed_model, diagnosis
+from validation.redeciding import changed_model, diagnosis, shots_in_words
 
 ROUNDING = 1e-3
 """Relative, of chi2: maps are kept to five digits."""
@@ -109,10 +108,7 @@ def decided(document: Mapping[str, Any], at: Place) -> None:
         at.exact(f"least MSE, {stage['name']}", stage["best"], least(stage["curves"]))
     if structure is None or "regions" not in document:
         return
-    p_of = {shot["id"]: shot["p"] for shot in shots}
-    curves = any(shot["kind"] != "image" for shot in shots)
-    now = sentence_of(p_of, structure["p"], structure["p_text"], curves=curves)
-    at.exact("sentence", document["sentence"], now)
+    at.exact("sentence", document["sentence"], shots_in_words(document, document["sentence"]))
     at.exact("trusted", document["trusted"], not document["reason"])
     z = [one["z"] for one in structure["families"]]
     at.exact("families, the largest first", structure["statistic"], max(z, default=structure["statistic"]))

@@ -29,7 +29,9 @@ from validation.virtual_realistic import errors_of
 Real = NDArray[np.float64]
 
 SEEN = 0.01
-"""A p-value below which a shot is said to differ: one in a hundred shots does by chance."""
+"""A chance below which something is said to differ: each of n shots is held to an n-th of it."""
+LEAST_P = 1e-4
+"""Just above what a shot beyond all draws has: no smaller chance is told from it."""
 ALL = "all images"
 """In place of a shot's id, where the images were summed up."""
 REGIONS = 20
@@ -92,13 +94,14 @@ class Comparison:
     @property
     def differ(self) -> list[str]:
         """The shots that differ from the model by more than noise."""
-        return differing({shot: found.p for shot, found in self.structure.shots.items()})
+        found = self.structure
+        return differing({shot: found.shots[shot].p for shot in self.observed.shots}, found.p)
 
     @property
     def sentence(self) -> str:
         """What to say first."""
-        p_of = {shot: self.structure.shots[shot].p for shot in self.observed.shots}
-        return sentence_of(p_of, self.structure.p, self.structure.p_text, curves=bool(self.observed.curves))
+        of, found = len(self.observed.shots), self.structure
+        return sentence_of(len(self.differ), of, found.p, found.p_text, curves=bool(self.observed.curves))
 
     def document(self) -> dict[str, Any]:
         """Everything that is told, as plain values."""
@@ -294,14 +297,20 @@ def maps_of(found: Fit) -> dict[str, Real]:
     return images | {curve.id: z[None] for curve, z in curves}
 
 
-def differing(p_of: Mapping[str, float]) -> list[str]:
-    """The shots that differ from the model by more than noise, by their p-values."""
-    return [shot for shot, p in p_of.items() if p < SEEN]
+def differing(p_of: Mapping[str, float], p: float) -> list[str]:
+    """The shots that differ from the model by more than noise, from their p-values and that of all together.
+
+    Of so many shots that an n-th of `SEEN` is below what draws can tell, those beyond all draws, where p is seen too.
+    """
+    level = SEEN / max(len(p_of), 1)
+    if level < LEAST_P and p >= SEEN:
+        return []
+    return [shot for shot, own in p_of.items() if own < max(level, LEAST_P)]
 
 
-def sentence_of(p_of: Mapping[str, float], p: float, p_text: str, *, curves: bool) -> str:
-    """The verdict in words, from the p-values of the shots and that of all together."""
-    count, of, kind = len(differing(p_of)), len(p_of), "shots" if curves else "images"
+def sentence_of(count: int, of: int, p: float, p_text: str, *, curves: bool) -> str:
+    """The verdict in words, from how many of how many shots differ and the p-value of all together."""
+    kind = "shots" if curves else "images"
     if count:
         return f"{count} of {of} {kind} differ from the model by more than noise"
     if p < SEEN:

@@ -96,6 +96,7 @@ def import_(
     exposure_ms: Annotated[float | None, typer.Option(help="Of all images.")] = None,
     frames_averaged: Annotated[int | None, typer.Option(help="Frames in each image.")] = None,
     dark: Annotated[str | None, typer.Option(help="Dark image of all images.")] = None,
+    dark_frames_averaged: Annotated[int | None, typer.Option(help="Frames in each dark.")] = None,
     flat: Annotated[str | None, typer.Option(help="Flat image of all images.")] = None,
     mask: Annotated[str | None, typer.Option(help="Mask of all images; 0: ignore the pixel.")] = None,
     scale: Annotated[float, typer.Option(help="DN per number in the files (luminance in cd/m2, say).")] = 1.0,
@@ -112,7 +113,8 @@ def import_(
     said = {
         "layout": layout, "rows": rows, "columns": columns, "distance_um": distance_um, "width_um": width_um,
         "spacing_um": spacing_um, "thickness_um": thickness_um, "dbr_pairs": dbr_pairs, "exposure_ms": exposure_ms,
-        "frames_averaged": frames_averaged, "dark": dark, "flat": flat, "mask": mask,
+        "frames_averaged": frames_averaged, "dark_frames_averaged": dark_frames_averaged,
+        "dark": dark, "flat": flat, "mask": mask,
     }  # fmt: skip
     common = {key: value for key, value in said.items() if value is not None}
     camera = {

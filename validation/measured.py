@@ -240,7 +240,7 @@ def _measured(
     black = camera.black_level_dn * correction.inverse_mean if correction.dark_dn is None else correction.dark_dn
     bin_and_frames = factor**2 * shot.frames_averaged
     of_image = camera.dark_variance_dn2 / bin_and_frames
-    of_dark = 0.0 if shot.dark is None else camera.dark_variance_dn2 / (factor**2 * _dark_frames(shot))
+    of_dark = 0.0 if shot.dark is None else camera.dark_variance_dn2 / (factor**2 * shot.dark_frames)
     like = np.ones(signal.shape)
     constant_dn2 = (of_image + of_dark) * correction.inverse_square * like
     signal = signal - black
@@ -270,10 +270,6 @@ def _refuse_without_light(shot: ImageShot, signal_dn: Real, variance_dn2: Real) 
     if mean < -DARKER * math.sqrt(float(variance_dn2.mean()) / signal_dn.size):
         value, allowed = f"mean {mean:.1f} DN above black", f"above {shot.dark or 'black_level_dn'}"
         raise InputError(f"{shot.file}: values", value, allowed, "are dark and image exchanged?")
-
-
-def _dark_frames(shot: ImageShot) -> int:
-    return shot.dark_frames_averaged or shot.frames_averaged
 
 
 def _centre(shot: ImageShot, raw: Pixels, factor: int) -> tuple[float, float]:

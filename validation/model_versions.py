@@ -67,13 +67,20 @@ def previous(path: Path) -> int:
     """The number of the version before the one that the file holds; InputError where there is none."""
     known = versions(path)
     now = read_text(path) if path.exists() or not known else None  # a deleted file has all its versions before it
-    if len(known) > 1 and [version_text(path, one.number) == now for one in known[-2:]] == [True, False]:
-        known.pop()  # a save that was killed before it wrote the file: nobody has ever had that version
+    if _was_killed(path, known, now):
+        known.pop()  # nobody has ever had that version
     while known and version_text(path, known[-1].number) == now:
         known.pop()
     if not known:
         raise InputError("version", path.name, "a file with an earlier version", "there is nothing to go back to")
     return known[-1].number
+
+
+def _was_killed(path: Path, known: list[Version], now: str | None) -> bool:
+    """Whether the last save never wrote the file: it holds the version before, and is older than the last one."""
+    if [version_text(path, one.number) == now for one in known[-2:]] != [True, False]:
+        return False
+    return path.stat().st_mtime_ns <= _version_file(path, known[-1].number).stat().st_mtime_ns
 
 
 def undo(path: Path, command: str = "undo", to: int | None = None) -> Version:

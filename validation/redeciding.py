@@ -1,8 +1,9 @@
-"""Level 3 of a replay of diagnose, add and remove: what was decided, anew from the numbers that were told with it.
+"""Level 3 of a replay: what was decided, anew from the numbers that were told with it.
 
-diagnose     the verdict and its set from shares, held-out errors, p-values and rivals; ranks
-add, remove  what changed from the two models; the errors of the ladder from those before and after, and whether
-             the version that the model file keeps still has them
+compare, where  the sentence from the p-values of the shots and that of all together
+diagnose        the verdict and its set from shares, held-out errors, p-values and rivals; ranks
+add, remove     what changed from the two models; the errors of the ladder from those before and after, and whether
+                the version that the model file keeps still has them
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from luxloop.audit import Place
 from luxloop.errors import InputError
 from luxloop.model import Model
 from luxloop.model_file import diff, parse_toml
+from validation.comparing import SEEN, differing, sentence_of
 from validation.diagnose.explained import Share
 from validation.diagnose.explanation import Explanation
 from validation.diagnose.held_out import Change
@@ -35,6 +37,18 @@ from validation.model_versions import versions
 from validation.sample_values import numbers
 
 Document = Mapping[str, Any]
+
+
+def shots_in_words(document: Document, said: str) -> str:
+    """What follows of a comparison's shots; as it was said when each was held to the whole of `SEEN`, if so."""
+    structure, shots = document["structure"], document["shots"]
+    p_of = {shot["id"]: shot["p"] for shot in shots}
+    curves = any(shot["kind"] != "image" for shot in shots)
+    before, now = (
+        sentence_of(count, len(p_of), structure["p"], structure["p_text"], curves=curves)
+        for count in (sum(p < SEEN for p in p_of.values()), len(differing(p_of, structure["p"])))
+    )
+    return before if said == before else now
 
 
 def diagnosis(document: Document, at: Place) -> None:

@@ -39,6 +39,7 @@ from validation.diagnosing import Diagnosing
 from validation.effects.known import Known
 from validation.observed import Observed
 from validation.prediction import Predictor
+from validation.redeciding import shots_in_words
 
 LIMIT_S = 86_400.0
 LANES = 4
@@ -204,7 +205,8 @@ def fitted(journal: RunJournal, step: Any, answers: FromAnswers, at: Place) -> N
 def compared_again(step: Any, model: Model, answers: FromAnswers) -> Plain:
     """The document of a comparison."""
     observed, solver = _asked(step)
-    return compared(model, observed, Predictor(answers), solver).document()
+    found = compared(model, observed, Predictor(answers), solver).document()
+    return found | {"sentence": shots_in_words(found, step.document["sentence"])}
 
 
 def diagnosed_again(step: Any, model: Model, answers: FromAnswers) -> Plain:

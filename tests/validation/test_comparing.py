@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,11 +13,12 @@ from luxloop.audit import Compared, Place
 from luxloop.errors import InputError
 from luxloop.model_file import find_model
 from tests.validation import analytic as spots
-from validation import told
+from validation import reexecute, told
 from validation.auditor import compared as re_derived
+from validation.auditor import decided
 from validation.calibrate_command import paths_of
 from validation.calibration import calibrated
-from validation.comparing import Solver, compared
+from validation.comparing import Solver, compared, differing
 from validation.observed import Observed
 from validation.profiles import profiles
 from validation.virtual_realistic import KINDS, Candidate, Experiment, errors_of, line_of
@@ -39,6 +41,48 @@ def test_a_model_that_is_right_differs_by_noise_alone() -> None:
         assert shot["chi2_per_pixel"] == pytest.approx(1.0, abs=0.15)
     assert "none of the" in document["sentence"]
     assert document["solver"]["method"] == "twin"
+
+
+def test_of_many_shots_chance_names_none() -> None:
+    """Each of n is held to an n-th of 1 %; of very many those beyond all draws, if all together are seen."""
+    rng = np.random.default_rng(1)
+    told_of = [differing(dict(enumerate(rng.uniform(size=50))), 0.5) for _ in range(1000)]
+    assert sum(map(bool, told_of)) < 25  # 10 are expected; each at 1 % 395 would be
+    few = {"a": 0.004, "b": 0.3, "c": 0.0001}
+    assert differing(few, 0.3) == ["c"]
+    assert differing({"a": 0.009}, 0.5) == ["a"]
+    many = {f"{number}": 0.5 for number in range(200)} | {"0": 1 / 10_001, "1": 0.0002}
+    assert (differing(many, 0.02), differing(many, 0.002)) == ([], ["0"])
+
+
+def test_a_sentence_on_record_is_held_against_the_level_of_its_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Before, each shot was held to 1 %, however many there were; a sentence that neither gives differs.
+
+    The same where the fit is made anew.
+    """
+    document = compared(spots.MODEL, observed(), spots.Spots(), Solver(None)).document()
+    document["structure"] |= {"p": 0.2, "p_text": "0.2", "draws": 9999}
+    for shot, p in zip(document["shots"], (0.007, 0.5), strict=True):
+        shot |= {"p": p, "p_text": f"{p:g}"}
+
+    def verdict(sentence: str) -> str:
+        found: list[Compared] = []
+        decided(document | {"sentence": sentence}, Place(found.append))
+        return next(one.verdict for one in found if one.what == "sentence")
+
+    none = "none of the 2 images differs from the model by more than noise (p = 0.2)"
+    one = "1 of 2 images differ from the model by more than noise"
+    assert verdict(none) == verdict(one) == "identical"
+    assert verdict("2 of 2 images differ from the model by more than noise") == "differs"
+
+    def anew(sentence: str) -> str:
+        step = SimpleNamespace(document={"sentence": sentence})
+        return str(reexecute.compared_again(step, spots.MODEL, reexecute.FromAnswers({}))["sentence"])
+
+    now = SimpleNamespace(document=lambda: document | {"sentence": none})
+    monkeypatch.setattr(reexecute, "compared", lambda *_: now)
+    monkeypatch.setattr(reexecute, "_asked", lambda _: (None, None))
+    assert [anew(said) for said in (none, one, "2 of 2")] == [none, one, none]
 
 
 def test_residuals_are_measured_less_model_in_standard_deviations() -> None:

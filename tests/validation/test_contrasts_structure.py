@@ -12,6 +12,8 @@ from validation.contrasts import structure
 from validation.contrasts.families import BLOCKS, layout_of
 from validation.contrasts.places import Picture, chip_centres_um, from_nearest_um, module_coordinates_um
 from validation.contrasts.structure import fit_layout
+from validation.dataset.manifest import SpectrumShot
+from validation.dataset.spectra import SPECTRUM_COLUMNS, read_spectrum
 from validation.fit import CurveData, fit
 from validation.prediction import Pose, PredictedCurve
 
@@ -180,6 +182,29 @@ def test_a_curve_has_structure_too():
     found = structure(fit(TRUTH, [], Spots(), free=(), curves=[curve], predict_curves=predict), draws=DRAWS)
     assert found.p < 0.01
     assert found.where[0].place.startswith("450.794-461.905 nm")
+
+
+def test_the_order_of_rows_in_a_file_decides_nothing(tmp_path):
+    """A bend of opposite sign at two angles is as visible in a file with wavelength outermost, or in no order."""
+    wave, aoi = (one.ravel() for one in np.meshgrid(np.linspace(400.0, 700.0, 301), [65.0, 75.0]))
+    rng = np.random.default_rng(1)
+    bend = 0.45 * np.sin(2.0 * np.pi * (wave - 400.0) / 150.0) * np.where(aoi < 70.0, 1.0, -1.0)
+    psi = 45.0 + 0.1 * (bend + rng.standard_normal(len(wave)))
+
+    def p_of(order):
+        rows = [f"{wave[at]:.0f},{aoi[at]:.0f},,{psi[at]:.6f},0.1" for at in order]
+        (tmp_path / "psi.csv").write_text("\n".join([",".join(SPECTRUM_COLUMNS), *rows]))
+        table = read_spectrum(
+            tmp_path / "psi.csv", SpectrumShot(id="psi", kind="spectrum", film="f", quantity="psi", file="psi.csv")
+        )
+        curve = CurveData("psi", table.value - 45.0, table.sigma, axis=table.wavelength_nm, axis_unit="nm")
+        found = fit(TRUTH, [], Spots(), free=(), curves=[curve], predict_curves=lambda *_: [nothing])
+        return structure(found, draws=DRAWS).p
+
+    nothing = PredictedCurve(np.zeros(len(wave)), {})
+    found = [p_of(order) for order in (np.arange(602), np.lexsort((aoi, wave)), rng.permutation(602))]
+    assert found == [found[0]] * 3
+    assert found[0] < 0.01
 
 
 def test_a_curve_that_the_fit_takes_whole_has_no_place_and_is_no_fault():

@@ -57,13 +57,14 @@ def test_a_folder_without_a_manifest_is_told_by_its_name(tmp_path: Path) -> None
 
 
 def test_chips_that_overlap_are_told_by_their_width(folder: Path) -> None:
-    """It had been the distance to the receiver."""
+    """It had been the distance to the receiver. A warning: a model may take spacing_um for the gap between chips."""
     text = (folder / "dataset.toml").read_text(encoding="utf-8")
     head, mark, many = text.partition('id = "many"')
     (folder / "dataset.toml").write_text(head + mark + many.replace("spacing_um = 400.0", "spacing_um = 30.0", 1))
-    finding = found(folder)[0]
-    assert finding.field.endswith("width_um")
+    finding = found(folder, "warning")[0]
+    assert finding.field == 'samples["many"].width_um'
     assert (finding.value, finding.mend) == ("40.0", "chips overlap: correct width_um or spacing_um")
+    assert "gap" in finding.allowed
 
 
 def test_an_image_smaller_than_what_it_is_compared_at_asks_for_its_pixel(folder: Path) -> None:
@@ -123,6 +124,24 @@ def test_a_wrong_word_of_the_manifest_is_told(folder: Path, case: str) -> None:
     assert mend in told.mend
     with pytest.raises(InputError):
         read_dataset(folder)
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "value"),
+    [
+        ("dark_frames_averaged = 100", "dark_frames_averaged = 16", "16"),
+        ("dark_frames_averaged = 100", "", "None"),
+        ("", "frames_averaged = 4", "None"),
+    ],
+)
+def test_a_dark_has_one_count_of_frames(folder: Path, one: str, other: str, value: str) -> None:
+    """Said differently, or not said where it would be taken from images of different counts; told with the mend."""
+    edit(folder, "exposure_ms = 8.0", f"exposure_ms = 8.0\n{one}")
+    edit(folder, "exposure_ms = 4.0", f'exposure_ms = 4.0\ndark = "dark/dark.tif"\n{other}')
+    (told,) = found(folder)
+    assert (told.field, told.value) == ('shots["array"].dark_frames_averaged', value)
+    assert "single" in told.allowed
+    assert "in all shots that name it" in told.mend
 
 
 def test_all_faults_of_a_manifest_are_listed(folder: Path) -> None:
@@ -335,6 +354,14 @@ def test_a_pitch_that_contradicts_the_lattice_is_told(folder: Path, old: str, ne
     assert "pixel_um = 2" in told[0].mend or "pixel_um = 3" in told[0].mend
 
 
+def test_a_spacing_may_be_the_gap_between_the_chips_of_the_lattice(folder: Path) -> None:
+    """Chips of 120 um, 280 um apart: 400 um from centre to centre, as in the image."""
+    before, mark, after = MANIFEST.partition('id = "many"')
+    wide = after.replace("width_um = 40.0", "width_um = 120.0").replace("spacing_um = 400.0", "spacing_um = 280.0")
+    (folder / "dataset.toml").write_text(before + mark + wide)
+    assert found(folder) == []
+
+
 def test_swapped_axes_are_told(folder: Path) -> None:
     """Three rows and five columns, in an image of five rows and three columns."""
     put(folder, ARRAY, photographed(PEAK_DN * light(3, 5), 2).T)
@@ -364,6 +391,7 @@ TABLES = {
     "empty": ("spectra/t.csv", BELOW, "\n", "rows", ""),
     "far field sigma": ("far/g.csv", "0,0,1.0,0.01", "0,0,1.0,0", "line 2: sigma", "standard deviation"),
     "far field twice": ("far/g.csv", FAR_FIELD.splitlines()[2], "0,0,1,0.01", "line 3: duplicate", "line 2 has it"),
+    "a turn further": ("far/g.csv", "30,0,0.9,0.01", "30,-0.1,1,1\n30,359.9,1,1", "line 4: duplicate", "line 3"),
     "far field columns": ("far/g.csv", "theta_deg,phi_deg", "theta,phi", "line 1", "the first line names them"),
 }  # fmt: skip
 

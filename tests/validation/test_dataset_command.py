@@ -211,6 +211,26 @@ def test_import_turns_darks_flats_and_masks_too(raw: Path, tmp_path: Path) -> No
     assert not tifffile.imread(data.path(shot.mask))[-9:].any()
 
 
+def test_import_asks_for_a_look_at_the_frames_of_a_dark(raw: Path, tmp_path: Path) -> None:
+    """Unless an option or the table says them; what two images share has one guess, the least of their own counts."""
+    tifffile.imwrite(raw / "dark.tif", np.full((96, 96), 64, np.uint16))
+    table = tmp_path / "t.csv"
+    table.write_text("file,frames_averaged,dark_frames_averaged\nmore/array 1.tif,4,\nsingle.tif,1,\n")
+    options = ("--table", table, "--layout", "single", *CAMERA, *DESIGN, "--dark", "dark.tif")
+    made = told("import", raw, "--into", tmp_path / "a", *options)
+    assert made["errors"] == 0
+    names = [f'shots["{shot}"].dark_frames_averaged' for shot in ("more-array-1", "single")]
+    assert [path for path in made["to_check"] if path.endswith("dark_frames_averaged")] == names
+    assert (tmp_path / "a" / "dataset.toml").read_text().count("dark_frames_averaged = 1  # check this") == 2
+    made = told("import", raw, "--into", tmp_path / "b", *options, "--dark-frames-averaged", "100")
+    assert not set(names) & set(made["to_check"])
+    table.write_text("file,frames_averaged,dark_frames_averaged\nmore/array 1.tif,4,50\nsingle.tif,1,\n")
+    made = told("import", raw, "--into", tmp_path / "c", *options)
+    assert set(names) & set(made["to_check"]) == {names[1]}
+    counts = {n: [shot.dark_frames for shot in read_dataset(tmp_path / n).manifest.images()] for n in "bc"}
+    assert counts == {"b": [100, 100], "c": [50, 50]}
+
+
 def test_import_scales_a_raw_flat_before_its_black_is_taken_away(raw: Path, tmp_path: Path) -> None:
     """12 bits shifted up to 16: its black of 1,024 in the file is 64 DN, as the images' is."""
     (raw / "more" / "array 1.tif").unlink()
@@ -309,10 +329,11 @@ def test_import_refuses_files_it_cannot_read_and_leaves_nothing(tmp_path: Path, 
 @pytest.mark.parametrize(
     ("line", "field"),
     [("file,distance", "line 1"), ("distance_um\n1", "line 1"), ("file,rows\na.tif,2.5", "line 2: rows"),
+     ("file,exposure_ms,exposure_ms\na.tif,8,2", "line 1"),
      ("file,width_um\na.tif,4,0", "line 2"), ('file;width_um\na.tif;"4,0"', "line 2: width_um")],
 )  # fmt: skip
 def test_a_bad_table_is_refused(raw: Path, tmp_path: Path, line: str, field: str) -> None:
-    """Unknown columns, no files, no numbers, decimal commas."""
+    """Unknown columns, one twice, no files, no numbers, decimal commas."""
     (tmp_path / "t.csv").write_text(line + "\n")
     assert field in refusal("import", raw, "--into", tmp_path / "d", "--table", tmp_path / "t.csv").field
 

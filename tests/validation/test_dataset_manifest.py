@@ -9,11 +9,13 @@ from pathlib import Path
 import pytest
 
 from luxloop.errors import InputError
+from luxloop.model_file import find_model
 from luxloop.words import parse
 from tests.validation.datasets import MANIFEST, edit, write_dataset
 from validation.dataset.folder import SUMS, read_dataset, write_sums
-from validation.dataset.manifest import FilmLayer, Manifest
+from validation.dataset.manifest import FilmLayer, Manifest, Sample
 from validation.dataset.manifest_file import manifest_and_faults, parse_manifest, to_toml
+from validation.prediction.images import module_of
 
 FILM = """schema = "luxloop-dataset/1"
 name = "a polymer on silicon"
@@ -50,11 +52,23 @@ def test_defaults_are_those_of_the_format() -> None:
     """One frame, a dark of as many, edge open, gain free, half a pitch beyond the outer chips."""
     manifest = parse_manifest(MANIFEST.encode())
     single, array = manifest.samples
-    assert (single.half_um, array.half_um) == (2000.0, 1000.0)
+    assert (single.half_um(), array.half_um()) == (2000.0, 1000.0)
     assert {single.edge, manifest.images()[0].frames_averaged} == {"open", 1}
     assert manifest.camera is not None
     assert (manifest.camera.gain_mode, manifest.camera.prnu_percent) == ("free", 0.0)
     assert array.design.dbr_pairs == 5.5
+
+
+def test_a_spacing_that_is_the_gap_moves_the_edge_and_lets_chips_be_wide() -> None:
+    """Half a pitch past the outer chips of S + W; what a model takes for the gap may be below the width."""
+    single, array = parse_manifest(MANIFEST.encode()).samples
+    assert (single.half_um("gap"), array.half_um("gap")) == (2000.0, 1100.0)
+    assert array.model_copy(update={"module_half_um": 1234.0}).half_um("gap") == 1234.0
+    wide = Sample.model_validate(array.model_dump() | {"width_um": 100.0, "spacing_um": 80.0})
+    assert (wide.pitch_um("gap"), wide.half_um("gap")) == (180.0, 450.0)
+    for reading, half_um in (("pitch", 1000.0), ("gap", 1100.0)):
+        model = find_model("paper").with_value("environment.spacing_is", reading)
+        assert module_of(model, array, lambda *_: None)["array"].half_um == half_um
 
 
 def test_saturation_is_the_lower_of_full_scale_and_full_well() -> None:

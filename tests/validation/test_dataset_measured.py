@@ -9,7 +9,19 @@ import numpy as np
 import pytest
 
 from luxloop.errors import InputError
-from tests.validation.datasets import BLACK_DN, GAIN, PEAK_DN, PIXELS, READ_NOISE_E, edit, light, photographed, put
+from tests.validation.datasets import (
+    BLACK_DN,
+    FAR_FIELD,
+    GAIN,
+    PEAK_DN,
+    PIXELS,
+    READ_NOISE_E,
+    SPECTRUM,
+    edit,
+    light,
+    photographed,
+    put,
+)
 from tests.validation.datasets import write_dataset as whole_dataset
 from validation.dataset.folder import read_dataset
 from validation.measured import MeasuredImage, binning, measured_far_fields, measured_images, measured_spectra
@@ -248,6 +260,18 @@ def test_spectra_and_far_fields_come_as_columns(folder: Path) -> None:
     assert spectrum.table.polarisation == ("u", "u")
     np.testing.assert_array_equal(spectrum.table.value, [0.71, 0.72])
     np.testing.assert_array_equal(far_field.table.theta_deg, [0.0, 30.0, 60.0])
+
+
+def test_rows_in_any_order_come_as_lines(folder: Path) -> None:
+    """Wavelengths of one angle and polarisation, angles of one plane, follow each other as they grow."""
+    rows = ["445,0,u,0.1,0.01", "440,30,s,0.2,0.01", "440,0,u,0.3,0.01", "445,30,s,0.4,0.01", "440,10,s,0.5,0.01"]
+    edit(folder, SPECTRUM.partition("\n")[2], "\n".join(rows), "spectra/t.csv")
+    edit(folder, FAR_FIELD.partition("\n")[2], "30,90,3,1\n60,0,2,1\n0,90,4,1\n30,0,1,1\n", "far/g.csv")
+    data = read_dataset(folder)
+    (spectrum,), (far_field,) = measured_spectra(data), measured_far_fields(data)
+    np.testing.assert_array_equal(spectrum.table.value, [0.5, 0.2, 0.4, 0.3, 0.1])
+    assert spectrum.table.polarisation == ("s", "s", "s", "u", "u")
+    np.testing.assert_array_equal(far_field.table.value, [1.0, 2.0, 4.0, 3.0])
 
 
 def test_a_dark_that_is_no_number_is_refused_unless_it_is_masked(folder: Path) -> None:

@@ -81,10 +81,27 @@ def test_undo_after_a_save_that_was_killed_before_the_file_was_written(tmp_path:
     path = tmp_path / "model.toml"
     save(path, Model(name="a"), "one")
     save(path, Model(name="b"), "two")
-    held = path.read_text(encoding="utf-8")
+    held, before = path.read_text(encoding="utf-8"), path.stat().st_mtime_ns
     save(path, Model(name="c"), "killed")
     path.write_text(held, encoding="utf-8")
+    os.utime(path, ns=(before, before))
     assert previous(path) == 1
+    undo(path)
+    assert read_model(path).name == "a"
+
+
+def test_undo_after_a_file_was_put_back_by_hand(tmp_path: Path) -> None:
+    """The text is that of the version before, but younger than the last one's: no save was killed."""
+    path = tmp_path / "model.toml"
+    save(path, Model(name="a"), "one")
+    held = path.read_text(encoding="utf-8")
+    save(path, Model(name="b"), "two")
+    path.write_text(held, encoding="utf-8")
+    later = path.stat().st_mtime_ns + 10**9
+    os.utime(path, ns=(later, later))
+    assert previous(path) == 2
+    undo(path)
+    assert read_model(path).name == "b"
     undo(path)
     assert read_model(path).name == "a"
 

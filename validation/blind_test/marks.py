@@ -153,7 +153,7 @@ class Marked:
 
     @cached_property
     def held_out(self) -> tuple[bool | None, list[bool]]:
-        """Whether the held-out error falls with a right effect; the same of each tried one outside of its group.
+        """Whether the held-out error falls with the best right effect; the same of each tried one outside its group.
 
         A fall is one beyond twice its own error, as the diagnosis counts it, where the record has that error.
         """
@@ -164,7 +164,7 @@ class Marked:
                 continue
             fell = _fell(one)
             if one["name"] in self.right:
-                falls = fell
+                falls = fell if falls is None else falls
             elif not self._is_of(one["name"], self.right):
                 others.append(fell)
         return falls, others

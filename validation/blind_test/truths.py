@@ -206,7 +206,7 @@ def sample_of(one: Sample) -> blind.Sample:
         return blind.Sample(
             id=one.id, rows=one.rows, columns=one.columns, distance_um=one.distance_um, width_um=one.width_um,
             spacing_um=one.spacing_um, thickness_um=one.thickness_um, dbr_pairs=one.dbr_pairs,
-            module_half_um=one.half_um,
+            module_half_um=one.half_um(),
         )  # fmt: skip
     except ValueError as error:
         raise _refused(error) from None
@@ -216,6 +216,9 @@ def camera_of(one: CameraFacts, pixels: int) -> blind.Camera:
     """A declared camera. Raises InputError for one that the blind forward model does not have."""
     if one.prnu_percent:
         raise InputError("camera.prnu_percent", one.prnu_percent, "0", "the blind forward model has no fixed pattern")
+    if one.gain_mode != "free":
+        mend = "a further image of a set is exposed alone, so its DN per ms is its own: leave gain_mode out"
+        raise InputError("camera.gain_mode", one.gain_mode, "free", mend)
     try:
         return blind.Camera(
             rows=pixels, columns=pixels, pixel_um=one.pixel_um, bit_depth=one.bit_depth,

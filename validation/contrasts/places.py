@@ -61,7 +61,7 @@ def chip_centres_um(sample: Sample, environment: Environment) -> Real:
     """(chip, 2): x and y of the centres of a sample's chips."""
     if sample.layout == "single":
         return np.zeros((1, 2))
-    pitch_um = sample.spacing_um + (sample.width_um if environment.spacing_is == "gap" else 0.0)
+    pitch_um = sample.pitch_um(environment.spacing_is)
     x = (np.arange(sample.columns) - (sample.columns - 1) / 2.0) * pitch_um
     y = (np.arange(sample.rows) - (sample.rows - 1) / 2.0) * pitch_um
     return np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)

@@ -63,8 +63,18 @@ def check(path: str | Path) -> list[Finding]:
         return [_finding(error)]
     found = [_finding(fault) for fault in faults]
     if manifest is not None and not faults:
-        found += [*_of_films(manifest), *_of_files(folder, manifest)]
+        found += [*_of_samples(manifest), *_of_films(manifest), *_of_files(folder, manifest)]
     return sorted(_few_of_a_kind(found), key=lambda finding: finding.level)
+
+
+def _of_samples(manifest: Manifest) -> Iterator[Finding]:
+    """Chips that overlap, but for a model that takes the spacing for the gap between them."""
+    for one in manifest.samples:
+        if one.layout == "array" and one.width_um >= one.spacing_um:
+            allowed = f"below spacing_um, {one.spacing_um:g} um, where a model's spacing_is is not gap"
+            mend = "chips overlap: correct width_um or spacing_um"
+            field = f'{MANIFEST}: samples["{one.id}"].width_um'
+            yield _finding(InputError(field, one.width_um, allowed, mend), "warning")
 
 
 def _of_films(manifest: Manifest) -> Iterator[Finding]:

@@ -185,7 +185,7 @@ def _of_noise(raw: Pixels, usable: NDArray[np.bool_], camera: CameraFacts, shot:
     signal, found, weight = law
     expected = (camera.gain_dn_per_e * signal + camera.dark_variance_dn2) / shot.frames_averaged
     if shot.dark is not None:
-        expected += camera.dark_variance_dn2 / (shot.dark_frames_averaged or shot.frames_averaged)
+        expected += camera.dark_variance_dn2 / shot.dark_frames
     expected += (camera.prnu_percent / 100.0 * signal) ** 2
     x, (y, z) = np.log(signal), np.log((found, expected))
     centred = x - np.average(x, weights=weight**2)
@@ -260,9 +260,11 @@ def _of_lattice(
 def _of_pitch(
     lattice: Lattice, expected_px: float, camera: CameraFacts, sample: Sample, shot: ImageShot
 ) -> Iterator[Told]:
-    off = lattice.pitch_px / expected_px - 1.0
+    """A pitch that is neither the spacing nor, as a model may take it, the spacing and a chip's width."""
+    readings_px = (expected_px, sample.pitch_um("gap") / camera.pixel_um)
+    off = min(abs(lattice.pitch_px / one - 1.0) for one in readings_px)
     many = max(lattice.rows, lattice.columns) >= 4
-    if abs(off) <= (PITCH_TOLERANCE if many else PITCH_TOLERANCE_OF_FEW):
+    if off <= (PITCH_TOLERANCE if many else PITCH_TOLERANCE_OF_FEW):
         return
     fitting_um = sample.spacing_um / lattice.pitch_px
     value = f"chips {lattice.pitch_px:.1f} px apart"

@@ -199,12 +199,23 @@ def _camera(order: Order) -> dict[str, Any]:
 
 
 def _exposure(order: Order, row: Row, id_: str) -> Iterator[tuple[str, Value]]:
-    """Exposure and frames of an image, with a remark where they were not said."""
-    for name, guess in (("exposure_ms", 1.0), ("frames_averaged", 1)):
+    """Exposure and frames of an image and its dark, with a remark where they were not said."""
+    guesses: dict[str, Value] = {"exposure_ms": 1.0, "frames_averaged": 1}
+    if order.of(row, "dark"):
+        guesses["dark_frames_averaged"] = _frames_of_dark(order, order.of(row, "dark"))
+    for name, guess in guesses.items():
         value = order.of(row, name)
         if value is None:
             order.remarks[f'shots["{id_}"].{name}'] = CHECK
         yield name, guess if value is None else value
+
+
+def _frames_of_dark(order: Order, dark: str) -> int:
+    """A plausible count of frames in a dark: what another row says of it, or the least of its images' own."""
+    rows = [row for row in order.rows if order.of(row, "dark") == dark]
+    said = (order.of(row, "dark_frames_averaged") for row in rows)
+    least = min(int(order.of(row, "frames_averaged") or 1) for row in rows)
+    return next((int(count) for count in said if count is not None), least)
 
 
 def _image(order: Order, name: str) -> Pixels:

@@ -85,12 +85,15 @@ class Sample(Strict):
         """The design of its chips."""
         return Design(**{name: getattr(self, name) for name in Design.FIELDS})
 
-    @property
-    def half_um(self) -> float:
+    def pitch_um(self, spacing_is: Literal["pitch", "gap"] = "pitch") -> float:
+        """From chip centre to chip centre, by what a model takes `spacing_um` for."""
+        return self.spacing_um + (self.width_um if spacing_is == "gap" else 0.0)
+
+    def half_um(self, spacing_is: Literal["pitch", "gap"] = "pitch") -> float:
         """Half side of the square module: as given, or half a pitch past the outer chips, or 2000 for a single."""
         if self.module_half_um is not None:
             return self.module_half_um
-        return 2000.0 if self.layout == "single" else max(self.rows, self.columns) * self.spacing_um / 2.0
+        return 2000.0 if self.layout == "single" else max(self.rows, self.columns) * self.pitch_um(spacing_is) / 2.0
 
     @model_validator(mode="after")
     def _can_be_built(self) -> Sample:
@@ -101,11 +104,7 @@ class Sample(Strict):
             raise InputError("rows, columns", (self.rows, self.columns), "1, 1 for a single", 'or layout = "array"')
         if self.layout == "array" and self.rows * self.columns == 1:
             raise InputError("rows, columns", (1, 1), "at least two chips for an array", 'or layout = "single"')
-        if self.layout == "array" and self.width_um >= self.spacing_um:
-            allowed = f"below the pitch spacing_um, {self.spacing_um:g} um"
-            raise InputError("width_um", self.width_um, allowed, "chips overlap: correct width_um or spacing_um")
-        fitting = self if self.layout == "array" else self.model_copy(update={"spacing_um": 20_000.0})
-        if reason := fitting.design.feasibility():
+        if reason := self.design.feasibility(spacing_is="gap"):
             raise InputError("distance_um", self.distance_um, "a module that can be built, D >= T + 5", reason)
         return self
 
@@ -174,6 +173,11 @@ class ImageShot(Strict):
     exposure_ms: float = Field(gt=0.0, le=1e7)
     frames_averaged: int = Field(1, ge=1, le=1_000_000, description="The noise variance is divided by it.")
     centre_px: Pair | None = Field(None, description="First guess (row, column) of the module's centre.")
+
+    @property
+    def dark_frames(self) -> int:
+        """Frames in its dark, as said or as many as it has itself."""
+        return self.dark_frames_averaged or self.frames_averaged
 
     def files(self) -> dict[str, str]:
         """The files it names, by field."""
@@ -252,7 +256,7 @@ class Manifest(Strict):
 
 
 def contradictions(manifest: Manifest) -> Iterator[InputError]:
-    """What is wrong between the parts of a manifest: ids twice, shots of nothing, images without a camera."""
+    """What is wrong between its parts: ids twice, shots of nothing, no camera, a dark with two counts of frames."""
     samples, films = ([one.id for one in group] for group in (manifest.samples, manifest.films))
     yield from _twice("samples", samples)
     yield from _twice("films", films)
@@ -265,6 +269,19 @@ def contradictions(manifest: Manifest) -> Iterator[InputError]:
             yield InputError(f'shots["{shot.id}"].{field}', named, ", ".join(known) or "(there is none)", mend)
     if manifest.images() and manifest.camera is None:
         yield InputError("camera", None, "a [camera] section, since there are images", "luxloop dataset import asks")
+    yield from _miscounted_darks(manifest.images())
+
+
+def _miscounted_darks(shots: Iterable[ImageShot]) -> Iterator[InputError]:
+    """Darks of which two shots do not say the same number of frames, or leave it to their own."""
+    first: dict[str, ImageShot] = {}
+    for shot in shots:
+        if shot.dark is None or shot.dark_frames == first.setdefault(shot.dark, shot).dark_frames:
+            continue
+        known = first[shot.dark]
+        allowed = f"{known.dark_frames}, the frames of {shot.dark} by {known.id}"
+        mend = "say it in all shots that name it; left out, a dark has as many frames as the image"
+        yield InputError(f'shots["{shot.id}"].dark_frames_averaged', shot.dark_frames_averaged, allowed, mend)
 
 
 def _twice(field: str, ids: Iterable[str]) -> Iterator[InputError]:

@@ -21,8 +21,8 @@ from validation.writing import written
 DESIGN = ("distance_um", "width_um", "spacing_um", "thickness_um", "dbr_pairs")
 SAMPLE = ("layout", "rows", "columns", *DESIGN)
 FILES = ("dark", "flat", "mask")
-COLUMNS = ("file", "sample", *SAMPLE, "exposure_ms", "frames_averaged", *FILES)
-WHOLE = ("rows", "columns", "frames_averaged")
+COLUMNS = ("file", "sample", *SAMPLE, "exposure_ms", "frames_averaged", "dark_frames_averaged", *FILES)
+WHOLE = ("rows", "columns", "frames_averaged", "dark_frames_averaged")
 WORDS = ("file", "sample", "layout", *FILES)
 
 Value = str | float | int
@@ -41,6 +41,8 @@ def read_sheet(path: Path) -> list[Row]:
     for column in header:
         if column not in COLUMNS:
             raise InputError(f"{path.name}: line 1", column, ", ".join(COLUMNS), did_you_mean(column, COLUMNS))
+        if header.count(column) > 1:
+            raise InputError(f"{path.name}: line 1", column, "each column once", "take one of the two away")
     if "file" not in header:
         raise InputError(f"{path.name}: line 1", ", ".join(header), "a column file", "--write-table writes one")
     rows = []

@@ -3,7 +3,9 @@
     wavelength_nm,aoi_deg,polarisation,value,sigma      R, T in [0, 1]; psi, delta in deg, their polarisation empty
     theta_deg,phi_deg,value,sigma                       a far field, its scale free
 
-A table is read whole: every fault of every line is found, and the reader raises the first.
+A table is read whole: every fault of every line is found, and the reader raises the first. Its rows come line by
+line, whatever their order in the file: wavelengths of one polarisation and angle, thetas of one phi. What is left of
+a fit is summed over neighbours.
 """
 
 from __future__ import annotations
@@ -103,7 +105,9 @@ def spectrum_and_faults(path: Path, name: str, quantity: Quantity) -> tuple[Spec
     faults += _duplicates(rows, ("wavelength_nm", "aoi_deg", "polarisation"), name)
     if not rows or any(not np.isfinite(column).all() for column in numbers.values()):
         return None, faults
-    return SpectrumTable(polarisation=polarisation, **numbers), faults
+    order = np.lexsort((numbers["wavelength_nm"], numbers["aoi_deg"], np.array(polarisation)))
+    ordered = {column: values[order] for column, values in numbers.items()}
+    return SpectrumTable(polarisation=tuple(polarisation[at] for at in order), **ordered), faults
 
 
 def far_field_and_faults(path: Path, name: str) -> tuple[FarFieldTable | None, Faults]:
@@ -116,7 +120,8 @@ def far_field_and_faults(path: Path, name: str) -> tuple[FarFieldTable | None, F
         faults.append(InputError(f"{name}: value", "nothing above 0", "an intensity", "was a background subtracted?"))
     if not rows or any(not np.isfinite(column).all() for column in numbers.values()):
         return None, faults
-    return FarFieldTable(**numbers), faults
+    order = np.lexsort((numbers["theta_deg"], numbers["phi_deg"]))
+    return FarFieldTable(**{column: values[order] for column, values in numbers.items()}), faults
 
 
 def _rows(path: Path, name: str, columns: tuple[str, ...]) -> tuple[list[tuple[int, Row]], Faults]:
@@ -243,7 +248,7 @@ def _duplicates(rows: Sequence[tuple[int, Row]], columns: tuple[str, ...], name:
     """Rows that say the same place a second time."""
     first: dict[tuple[float | str, ...], int] = {}
     for line, row in rows:
-        key = tuple(_comparable(row[column].strip()) for column in columns)
+        key = tuple(_comparable(row[column].strip(), column) for column in columns)
         if key in first:
             place = ", ".join(row[column].strip() for column in columns)
             mend = f"line {first[key]} has it already: average the two"
@@ -251,8 +256,9 @@ def _duplicates(rows: Sequence[tuple[int, Row]], columns: tuple[str, ...], name:
         first.setdefault(key, line)
 
 
-def _comparable(cell: str) -> float | str:
+def _comparable(cell: str, column: str) -> float | str:
+    """The number in a cell; phi within one turn. A goniometer passes theta 0 in every plane: that is no duplicate."""
     try:
-        return float(cell)
+        return round(float(cell) % 360.0, 9) % 360.0 if column == "phi_deg" else float(cell)
     except ValueError:
         return cell

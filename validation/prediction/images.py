@@ -225,7 +225,7 @@ def module_of(model: Model, sample: Sample, film_of: FilmOf) -> dict[str, Any]:
         "design": sample.design,
         "film": film_of(model, sample.dbr_pairs),
         "effects": model.effects,
-        "array": ChipArray(**chips, half_um=sample.half_um),
+        "array": ChipArray(**chips, half_um=sample.half_um(model.environment.spacing_is)),
     }
 
 

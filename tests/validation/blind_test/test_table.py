@@ -174,6 +174,10 @@ def test_held_out_errors() -> None:
     sets = [marked(record("one_effect", "vignetting", effects=tried), hiding("vignetting"))]
     assert counts(sets, "held-out error falls with") == (1, 1)
     assert counts(sets, "sets without a held-out fall") == (0, 1)
+    either = hiding("vignetting", "camera_psf")
+    for best, other, falls in ((tried[0], tried[3], 1), (tried[3], tried[0], 0)):  # of two right ones the best counts
+        both = marked(record("one_effect", "vignetting", effects=[best, other]), either)
+        assert counts([both], "held-out error falls with") == (falls, 1)
     two = marked(record("one_effect", "vignetting", effects=[tried[0], tried[3]]), hiding("vignetting"))
     alone = marked(record("one_effect", "vignetting", effects=tried[:2]), hiding("vignetting"))
     assert counts([*sets, two, alone], "sets without a held-out fall") == (1, 2)

@@ -111,6 +111,8 @@ def test_the_blind_forward_model_takes_the_paper() -> None:
     assert camera_of(DECLARED, 128).full_scale_dn == 4095.0
     with pytest.raises(InputError, match="fixed pattern"):
         camera_of(DECLARED.model_copy(update={"prnu_percent": 1.0}), 128)
+    with pytest.raises(InputError, match=r"camera.gain_mode: got 'exposure', allowed: free"):
+        camera_of(DECLARED.model_copy(update={"gain_mode": "exposure"}), 128)
     with pytest.raises(InputError, match=r"environment\.emission"):
         surroundings_of(PAPER.with_value("environment.emission", "in_plane_dipole"))
 

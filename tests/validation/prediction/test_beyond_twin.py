@@ -61,7 +61,7 @@ def counted(reflectance: float, seed: int, smooth: bool = False) -> Real:
     `smooth`: of the count on all of the map, its pad beyond the walls too, the waves that light can have.
     """
     environment = find_model("paper").environment
-    layout = replace(array_of(environment, SAMPLE.design, 1, 2, SAMPLE.half_um), wall=Mirror(reflectance))
+    layout = replace(array_of(environment, SAMPLE.design, 1, 2, SAMPLE.half_um()), wall=Mirror(reflectance))
     of = scene_of(environment, SAMPLE.design, None, layout)
     tally = MonteCarlo(of, seed).run_to(blocks_of(HISTORIES))
     if smooth:
