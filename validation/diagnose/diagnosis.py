@@ -20,7 +20,7 @@ from luxloop.effect import EffectSpec
 from validation.diagnose.explanation import LEVEL
 from validation.diagnose.ground import Ground
 from validation.diagnose.in_words import left_in_words, limits_in_words, more_in_words
-from validation.diagnose.next_measurement import Proposal, left_out_of, next_in_words
+from validation.diagnose.next_measurement import Proposal, image_can_tell, left_out_of, next_in_words
 from validation.diagnose.refitted import Refitted
 from validation.diagnose.rounds import Diagnosis, Step, is_the_rest, trusted
 from validation.diagnose.score import Candidate, Projected, Scores, scores
@@ -100,7 +100,8 @@ def _verdict_on(
         by_name = {one.candidate.effect.name: one for one in tried.refits}
         rivals = [by_name[name] for name in names]
         proposals[:] = means.next_image(fit, rivals)
-        return next_in_words(proposals, left_out_of(rivals), images=bool(fit.problem.images))
+        told = image_can_tell(fit.problem.images, [one.candidate.effect for one in rivals])
+        return next_in_words(proposals, left_out_of(rivals), images=told)
 
     left = partial(left_in_words, tried.ground, tried.explanations)
     verdict = decided(tried.explanations, known, left, next_image, level, beside=beside)

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from luxloop.effect import EffectSpec
 from luxloop.errors import InputError, RemoteError
 from luxloop.model import Model
 from validation.dataset.manifest import Sample
@@ -74,10 +75,10 @@ class Rivals:
     """Names of effects that the twin cannot represent."""
 
     def proposals(self, heard: Callable[[float, str], None] = lambda *_: None) -> list[Proposal]:
-        """All candidates, the best first. Empty where not two of the rivals have a size."""
+        """All candidates, the best first. Empty where not two of the rivals have a size that an image shows."""
         paths = self._paths
-        usable = [one for one in self.refits if _has_size(one)]
-        if len(usable) < 2 or not self.fit.problem.images:
+        usable = [one for one in self.refits if _has_size(one) and "modules" in one.candidate.effect.acts_on]
+        if not image_can_tell(self.fit.problem.images, [one.candidate.effect for one in usable]):
             return []
         changes = self._changes(usable)
         here = self._on_measured(self.fit.problem.images, changes)
@@ -205,6 +206,11 @@ def left_out_of(refits: Sequence[Refitted]) -> list[str]:
     return [one.candidate.effect.name for one in refits if not _has_size(one)]
 
 
+def image_can_tell(images: Sequence[MeasuredImage], effects: Sequence[EffectSpec]) -> bool:
+    """Whether there are images, and two effects or more that a further one would show: those of films are in none."""
+    return bool(images) and sum("modules" in one.acts_on for one in effects) > 1
+
+
 def candidates_of(samples: Sequence[Sample]) -> Iterator[tuple[str, Sample, float]]:
     """(words, sample, exposure ratio) of what could be measured next, from what was."""
     seen = set()
@@ -232,7 +238,8 @@ NO_FILM = "measure the films' thickness or index by another method, and fix them
 def next_in_words(proposals: Sequence[Proposal], left_out: Sequence[str] = (), *, images: bool = True) -> str:
     """The sentence that a verdict ends with.
 
-    `left_out`: rivals that the proposals are not about. `images`: whether there are any, for no others are proposed.
+    `left_out`: rivals that the proposals are not about. `images`: whether one can tell (`image_can_tell`); nothing
+    else is proposed.
     """
     if not images:
         return f"To separate them, {NO_FILM}."

@@ -42,6 +42,7 @@ from validation.diagnose.frozen import slopes_of
 from validation.diagnose.groups import joined
 from validation.diagnose.in_words import limits
 from validation.diagnose.ladder import Rung
+from validation.diagnose.next_measurement import NO_FILM
 from validation.diagnose.refit import posed, refit
 from validation.diagnose.refitted import with_fit
 from validation.diagnose.rounds import Diagnosis, Step, is_the_rest, trusted
@@ -361,6 +362,14 @@ def test_two_that_are_alike_are_not_told_apart() -> None:
     assert found.verdict.sentence.startswith("The data cannot tell apart ripple")
     assert found.verdict.sentence.endswith("Take one image: another: expected separation 9 sigma (now 2.0).")
     assert found.proposals == (ANOTHER,)
+
+
+def test_effects_of_films_that_are_alike_are_told_apart_by_no_image() -> None:
+    """Though there are images beside the spectra: the film is to be measured in another way."""
+    known = [one.model_copy(update={"acts_on": ("films",)}) for one in CATALOGUE[:2]]
+    found = diagnosis(data("ripple", 4, 0.012), known=known)
+    assert found.verdict.word == "cannot_tell_apart"
+    assert found.verdict.sentence.endswith(f"To separate them, {NO_FILM}.")
 
 
 def test_what_nobody_knows_is_not_blamed_on_anybody() -> None:

@@ -20,7 +20,7 @@ from tests.validation.analytic import SINGLE as SINGLE_CHIP
 from tests.validation.diagnose.made_up import THIRD, Affected, data, spec
 from tests.validation.effects.test_signatures import AMPLITUDE, BASE, ONE, SIDE, SINGLE, Pretended, sight_of, spec_of
 from validation.dataset.manifest import Sample
-from validation.diagnose.next_measurement import Proposal, Rivals, left_out_of, next_in_words
+from validation.diagnose.next_measurement import Proposal, Rivals, image_can_tell, left_out_of, next_in_words
 from validation.diagnose.refitted import Refitted
 from validation.diagnose.score import Candidate
 from validation.fit import fit
@@ -160,6 +160,23 @@ def test_rivals_without_a_size_of_their_own_are_said_to_be_left_out() -> None:
     one = Proposal("array, D = 0.10 mm", SINGLE_CHIP, 1.0, 12.0, 1.3)
     told = next_in_words([one], ["chips", "places"])
     assert told.endswith("That is of the others: chips, places have numbers of their own for each chip.")
+
+
+@pytest.mark.parametrize("films", [1, 2])
+def test_an_image_is_not_proposed_where_no_two_rivals_show_in_one(films: int) -> None:
+    """Effects of films change no pixel: after a sweep of candidates 0 sigma were expected of the best image."""
+    asked = rivals_about(Affected())
+    found = [
+        replace(one, candidate=replace(one.candidate, effect=effect))
+        for one in asked.refits
+        for effect in [one.candidate.effect.model_copy(update={"acts_on": ("films",)})]
+    ]
+    refits = [*asked.refits[films:], *found[:films]]
+    assert replace(asked, refits=refits).proposals() == []
+    images = asked.fit.problem.images
+    assert not image_can_tell(images, [one.candidate.effect for one in refits])
+    assert image_can_tell(images, [one.candidate.effect for one in asked.refits])
+    assert not image_can_tell((), [one.candidate.effect for one in asked.refits])
 
 
 def patterns(sample: Sample) -> Any:
