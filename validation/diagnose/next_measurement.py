@@ -29,7 +29,9 @@ from validation.effects.known import applied, nearly_off, off_values, with_effec
 from validation.effects.signatures import HISTORIES, RUNS, Sight
 from validation.fit import Fit
 from validation.fit.model_noise import NoiseBlock
+from validation.fit.parameters import tied
 from validation.fit.problem import Evaluation, sensor_of, view_of
+from validation.fit.whitening import Whitening
 from validation.measured import MeasuredImage
 from validation.prediction import POSE_COLUMNS, Anchored, Pose, Predictor, Sensor
 from validation.prediction.differences import Moved
@@ -76,13 +78,12 @@ class Rivals:
 
     def proposals(self, heard: Callable[[float, str], None] = lambda *_: None) -> list[Proposal]:
         """All candidates, the best first. Empty where not two of the rivals have a size that an image shows."""
-        paths = self._paths
         usable = [one for one in self.refits if _has_size(one) and "modules" in one.candidate.effect.acts_on]
         if not image_can_tell(self.fit.problem.images, [one.candidate.effect for one in usable]):
             return []
         changes = self._changes(usable)
         here = self._on_measured(self.fit.problem.images, changes)
-        prior_sd = np.array([p.prior_sd for p in self.fit.problem.unknowns.parameters if p.name in paths])
+        prior_sd = self._prior_sd(self._shared)
         now = _separation([here], prior_sd, usable)
         found = []
         samples = [image.sample for image in self.fit.problem.images]
@@ -93,7 +94,7 @@ class Rivals:
                 if sample in samples:
                     rows = [self._on_measured(self._with_more_of(sample, exposure), changes)]
                 else:
-                    rows = [here, self._there(sample, exposure, usable, paths)]
+                    rows = [here, self._there(sample, exposure, usable)]
             except (InputError, RemoteError) as error:  # a sample that cannot be built is no proposal
                 if isinstance(error, RemoteError) and error.failure.code != "bad_input":
                     raise
@@ -104,28 +105,40 @@ class Rivals:
 
     @property
     def _paths(self) -> tuple[str, ...]:
-        """What a further image says more of: not what other samples have of their own."""
+        """Of the model, what a further image says more of: not what other samples have of their own."""
         return tuple(path for path in self.fit.problem.unknowns.model_paths if not path.startswith(LEAD))
 
+    @property
+    def _shared(self) -> tuple[str, ...]:
+        """All that a further image says more of: the gain, too, where it follows the exposure."""
+        return (*self._paths, *(name for name in self.fit.names if name == "gain"))
+
+    def _prior_sd(self, names: Sequence[str]) -> Real:
+        """Of unknowns of the fit; inf without a prior."""
+        by_name = {one.name: one.prior_sd for one in self.fit.problem.unknowns.parameters}
+        return np.array([by_name[name] for name in names])
+
     def _changes(self, usable: Sequence[Refitted]) -> dict[str, list[Real]]:
-        """What each effect of its fitted size does to the images that were measured, in DN, by its name."""
+        """What each effect of its fitted size does to what was measured: images in DN, then curves; by its name."""
         fit = self.fit
         sight = FitSight.of(fit, self.predictor, self.beyond_twin)
-        gains = [fit.gains[one.shot.id] for one in fit.problem.images]
+        scales = [fit.gains[one.shot.id] for one in fit.problem.images]
+        scales += [fit.value(f"{one.id}.scale") if one.free_scale else 1.0 for one in fit.problem.curves]
         return {
             one.candidate.effect.name: [
-                gain * part for gain, part in zip(gains, self._change(sight, one)[: len(gains)], strict=True)
+                scale * part for scale, part in zip(scales, self._change(sight, one), strict=True)
             ]
             for one in usable
         }
 
     def _on_measured(self, images: Sequence[MeasuredImage], changes: Mapping[str, list[Real]]) -> Rows:
-        """The columns on the rows that were measured, by the noise of these images."""
+        """The columns on the rows that were measured, by the noise of these images; those of curves stay."""
         at = replace(self._measured, problem=replace(self.fit.problem, images=tuple(images)))
-        white, own = at.whitening(), [name in self._paths for name in self.fit.names]
-        columns = at.columns(white)[:, : white.count]
-        effects = {name: white.rows(change) for name, change in changes.items()}
-        return Rows(columns[own], columns[np.logical_not(own)], effects)
+        white = at.whitening()
+        columns = at.columns(white)
+        own = np.isin(self.fit.names, self._shared)
+        effects = {name: _white(white, change) for name, change in changes.items()}
+        return Rows(columns[own], columns[~own], self._prior_sd(self.fit.names)[~own], effects)
 
     def _with_more_of(self, sample: Sample, exposure: float) -> list[MeasuredImage]:
         """The images; the first one of a sample is the mean with another of `exposure` times its light.
@@ -139,9 +152,13 @@ class Rivals:
         images[at] = replace(one, constant_dn2=constant_dn2, slope_dn=one.slope_dn / more)
         return images
 
-    def _there(self, sample: Sample, exposure: float, usable: Sequence[Refitted], paths: Sequence[str]) -> Rows:
-        """The columns that an image of a sample would have, with a peak as bright as those that were taken."""
-        fit, like = self.fit, _nearest(self.fit.problem.images, sample)
+    def _there(self, sample: Sample, exposure: float, usable: Sequence[Refitted]) -> Rows:
+        """The columns that an image of a sample would have, with a peak as bright as those that were taken.
+
+        Its gain (or what that errs by from its exposure), its offset and its place are its own, under priors as those
+        of the images.
+        """
+        fit, like, paths = self.fit, _nearest(self.fit.problem.images, sample), self._paths
         at = self.fit.problem.unknowns.named(self.fit.values)
         view = replace(view_of(like, Pose()), sample=sample, sensor=sensor_of(like, at))
         traced = any(effect.name in self.beyond_twin for effect in fit.model.effects)
@@ -164,10 +181,14 @@ class Rivals:
         by_gain = signal if found.by_gain_per_mm2 is None else gain * found.by_gain_per_mm2
         by_offset = np.ones_like(signal) if found.by_offset is None else found.by_offset
         nuisances = [by_gain, by_offset, *(gain * found.jacobian_per_mm2[name] for name in POSE_COLUMNS)]
+        names = ("gain_error" if tied(like) else "gain", "offset_dn", *POSE_COLUMNS)
+        shared = [gain * found.jacobian_per_mm2[path] for path in paths]
+        shared += [by_gain / at["gain"]] if tied(like) else []
         changes = rows([gain * self._change(sight, one)[0] for one in usable])
         return Rows(
-            rows([gain * found.jacobian_per_mm2[path] for path in paths]),
+            rows(shared),
             rows(nuisances),
+            self._prior_sd([f"{like.shot.id}.{name}" for name in names]),
             {one.candidate.effect.name: row for one, row in zip(usable, changes, strict=True)},
         )
 
@@ -274,6 +295,13 @@ def stanza(sample: Sample, is_there: bool, exposure_ratio: float = 1.0) -> str:
 def _as_toml(sample: Sample) -> Iterator[str]:
     for name, value in sample.model_dump(mode="json", exclude_none=True).items():
         yield f'{name} = "{value}"' if isinstance(value, str) else f"{name} = {value}"
+
+
+def _white(white: Whitening, change: Sequence[Real]) -> Real:
+    """Whitened rows of images, then of curves."""
+    count = len(white.used)
+    curves = [part / sigma for part, sigma in zip(change[count:], white.curve_sigma, strict=True)]
+    return np.concatenate([white.rows(change[:count]), *curves])
 
 
 def _separation(rows: Sequence[Rows], prior_sd: Real, usable: Sequence[Refitted]) -> float:

@@ -17,15 +17,17 @@ from luxloop.failure import Failure
 from luxloop.model import Model
 from tests.validation.analytic import ARRAY, MODEL, PATHS, blank
 from tests.validation.analytic import SINGLE as SINGLE_CHIP
-from tests.validation.diagnose.made_up import THIRD, Affected, data, spec
+from tests.validation.diagnose.made_up import CHIPS, THIRD, Affected, data, members_fit, spec
 from tests.validation.effects.test_signatures import AMPLITUDE, BASE, ONE, SIDE, SINGLE, Pretended, sight_of, spec_of
 from validation.dataset.manifest import Sample
+from validation.diagnose.columns import FitSight, candidates_of
 from validation.diagnose.next_measurement import Proposal, Rivals, image_can_tell, left_out_of, next_in_words
 from validation.diagnose.refitted import Refitted
-from validation.diagnose.score import Candidate
-from validation.fit import fit
+from validation.diagnose.score import Candidate, Projected
+from validation.effects.confounding import left_beside
+from validation.fit import CurveData, fit
 from validation.measured import MeasuredImage
-from validation.prediction import Anchored, View
+from validation.prediction import Anchored, Predicted, PredictedCurve, View
 
 
 @pytest.mark.parametrize("walks", [False, True])
@@ -177,6 +179,50 @@ def test_an_image_is_not_proposed_where_no_two_rivals_show_in_one(films: int) ->
     assert not image_can_tell(images, [one.candidate.effect for one in refits])
     assert image_can_tell(images, [one.candidate.effect for one in asked.refits])
     assert not image_can_tell((), [one.candidate.effect for one in asked.refits])
+
+
+class Brighter(Affected):
+    """An effect besides that lights one of the samples more."""
+
+    def images(self, model: Model, views: Sequence[View], *more: Any) -> list[Predicted]:
+        """As `Affected`."""
+        others = tuple(one for one in model.effects if one.name != "bright")
+        found = super().images(model.model_copy(update={"effects": others}), views, *more)
+        shine = [1.0 + brightness(model) * (view.sample.id == THIRD.id) for view in views]
+        return [
+            replace(one, irradiance_per_mm2=by * one.irradiance_per_mm2) for one, by in zip(found, shine, strict=True)
+        ]
+
+
+def brightness(model: Model) -> float:
+    """Of the effect in a model."""
+    return sum(float(one.parameters["size"]) for one in model.effects if one.name == "bright")  # type: ignore[arg-type]  # a number
+
+
+def scanned(model: Model, curves: Sequence[CurveData], paths: Sequence[str], _: Any) -> list[PredictedCurve]:
+    """Curves that the same effect bends, and nothing else does."""
+    x = np.linspace(0.0, 6.0, 40)
+    return [PredictedCurve(1.0 + brightness(model) * np.cos(x), dict.fromkeys(paths, 0.0 * x)) for _ in curves]
+
+
+@pytest.mark.parametrize("kind", ["one gain", "members", "curves"])
+def test_what_is_told_of_now_is_what_the_verdict_says(kind: str) -> None:
+    """By all rows, under the priors of all that is fitted: gains that follow the exposure, chips of one spread."""
+    known, predictor = [spec("bright"), spec("ripple")], Brighter()
+    images = data("ripple", 1, 0.05)
+    if kind != "curves":
+        camera = images[0].camera.model_copy(update={"gain_mode": "exposure"})
+        images = [replace(one, camera=camera) for one in images]
+    curves = [CurveData("scan", np.ones(40), np.full(40, 0.01), free_scale=True)] if kind == "curves" else []
+    base = fit(MODEL, images, predictor, free=PATHS, curves=curves, predict_curves=scanned)
+    base = members_fit(base, CHIPS) if kind == "members" else base
+    projected = Projected.of(candidates_of(base, known, FitSight.of(base, predictor)), base.basis)  # type: ignore[arg-type]  # it predicts, too
+    own, rival = (projected.own(one) for one in projected.candidates)
+    refits = [Refitted(one, 0.1, 0.01, base.residual, 0.0, False, MODEL, base) for one in projected.candidates]
+    told = Rivals(base, refits, predictor, frozenset()).proposals()  # type: ignore[arg-type]  # it predicts, too
+    assert told[0].now_sigma == pytest.approx(left_beside(0.1 * own[0], [rival]), rel=0.03)
+    assert told[0].now_sigma > 3.0
+    assert all(one.expected_sigma > 0.999 * one.now_sigma for one in told)
 
 
 def patterns(sample: Sample) -> Any:
