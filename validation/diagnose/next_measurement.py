@@ -315,8 +315,9 @@ def _has_size(one: Refitted) -> bool:
 
 
 def _at_size(model: Model, one: Refitted) -> Model:
-    spec, candidate = one.candidate.effect, one.candidate
-    values = off_values(spec, dict(candidate.shape)) | ({} if candidate.is_switch else one.size)
+    """The model with the effect as it was fitted: in the shape that it ended with, to which its size belongs."""
+    spec = one.candidate.effect
+    values = off_values(spec, dict(one.shape)) | ({} if one.candidate.is_switch else one.size)
     return with_effect(model, applied(spec, values))
 
 

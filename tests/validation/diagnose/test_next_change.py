@@ -11,13 +11,13 @@ from typing import Any, Literal
 import numpy as np
 import pytest
 
-from luxloop.effect import AppliedEffect
+from luxloop.effect import AppliedEffect, EffectParameter, EffectSpec, Value
 from luxloop.errors import RemoteError
 from luxloop.failure import Failure
 from luxloop.model import Model
 from tests.validation.analytic import ARRAY, MODEL, PATHS, blank
 from tests.validation.analytic import SINGLE as SINGLE_CHIP
-from tests.validation.diagnose.made_up import CHIPS, THIRD, Affected, data, members_fit, spec
+from tests.validation.diagnose.made_up import CHIPS, LENGTH, THIRD, Affected, data, members_fit, spec
 from tests.validation.effects.test_signatures import AMPLITUDE, BASE, ONE, SIDE, SINGLE, Pretended, sight_of, spec_of
 from validation.dataset.manifest import Sample
 from validation.diagnose.columns import FitSight, candidates_of
@@ -46,6 +46,27 @@ def test_the_noise_of_another_walk_is_no_change_that_an_effect_makes(walks: bool
     one: Refitted = found
     (change,) = rivals._change(sight_of(predictor, SINGLE), one)
     np.testing.assert_allclose(change, 0.4 * ONE, rtol=1e-5)
+
+
+def test_an_effect_is_predicted_in_the_shape_that_it_was_fitted_with() -> None:
+    """Tried at 300 um and as lines along y, fitted at 340 um and along x: a size is of the shape it belongs to."""
+    along = EffectParameter(name="along", description="which way", choices=("x", "y"))
+    shapes: list[tuple[EffectSpec, dict[str, Value], dict[str, Value]]] = [
+        (spec("stripes", LENGTH), {"length_um": 300.0}, {"length_um": 340.0}),
+        (spec("lines", along), {"along": "y"}, {"along": "x"}),
+    ]
+    for effect, tried, ended in shapes:
+        there = MODEL.model_copy(
+            update={"effects": (AppliedEffect(name=effect.name, parameters={"size": 0.05, **ended}),)}
+        )
+        rivals = rivals_about(Affected())
+        candidate = Candidate(effect, effect.parameters[0], tuple(tried.items()), np.zeros((1, 1)))
+        one = replace(rivals.refits[0], candidate=candidate, model=there)
+        sight = FitSight.of(rivals.fit, rivals.predictor)
+        fitted = rivals.fit.model.model_copy(update={"effects": there.effects})
+        parts = zip(rivals._change(sight, one), sight.parts(fitted), sight.parts(rivals.fit.model), strict=True)
+        for change, more, less in parts:
+            np.testing.assert_allclose(change, more - less, atol=1e-9)
 
 
 def test_what_is_expected_of_an_image_counts_the_noise_of_monte_carlo() -> None:
