@@ -69,7 +69,7 @@ def diagnosed(
         if fit is None or step.best.p_left >= level / 2.0 or len(steps) == MOST_STEPS:
             break
         ground = means.ground_of(fit)
-    part = _as_part(steps[0], len(effects), level)
+    part = _as_part(steps[0], level)
     if part is not None and part.leads_to is not None:
         rest = step_on(means.ground_of(part.leads_to))
         steps = [part, rest] if is_the_rest(part, rest, level) else steps
@@ -77,16 +77,16 @@ def diagnosed(
     is_open = first is part or first.verdict.word == "cannot_tell_apart"
     if further and is_open and is_the_rest(first, further[-1], level):
         beside = tuple(one.best.name for one in further)
-        verdict, proposals = _verdict_on(first, len(effects), means, level, beside)
+        verdict, proposals = _verdict_on(first, first.tested, means, level, beside)
         first = replace(first, verdict=verdict, proposals=proposals, beside=beside)
-    return Diagnosis((first, *further), len(effects))
+    return Diagnosis((first, *further), first.tested or len(effects))
 
 
-def _as_part(step: Step, known: int, level: float) -> Step | None:
+def _as_part(step: Step, level: float) -> Step | None:
     """The round with the effect that explains most named, where it explains too little to be named alone."""
     if step.verdict.names or not step.explanations:
         return None
-    return replace(step, verdict=decided(step.explanations, known, str, lambda _: "", level, beside=()))
+    return replace(step, verdict=decided(step.explanations, step.tested, str, lambda _: "", level, beside=()))
 
 
 def _verdict_on(
@@ -132,7 +132,7 @@ def _step(ground: Ground, effects: Sequence[EffectSpec], means: Means, seed: int
     tried.refit(means.progress)
     tried.finish(means.progress)
     tried.look_into_group(means.members_fit, means.ground_of)
-    verdict, proposals = _verdict_on(tried, len(effects), means, level)
+    verdict, proposals = _verdict_on(tried, len({one.effect.name for one in candidates}), means, level)
     return Step(ground, scored, alike, tuple(tried.refits), tuple(tried.explanations), verdict, proposals)
 
 
