@@ -65,7 +65,7 @@ class Diagnosing:
     among: tuple[str, ...] = ()
     """Names of the effects to choose from; none: all."""
     refused: dict[str, str] = field(default_factory=dict)
-    """Effects that cannot be had with these samples, with the reason."""
+    """Effects that cannot be had with these samples beside the model's own, with the reason."""
     traced: dict[tuple[object, ...], list[Column]] = field(default_factory=dict)
     """Columns of effects by Monte Carlo, kept from round to round."""
     traced_closely: dict[tuple[object, ...], list[Column]] = field(default_factory=dict)
@@ -138,10 +138,10 @@ class Diagnosing:
         return self._candidates(found, effects, self._sight_of(found).closer(CLOSELY, self.traced_closely))
 
     def _candidates(self, found: Fit, effects: Sequence[EffectSpec], sight: FitSight) -> list[Candidate]:
+        names = [[one.name for one in model.effects] for model in (found.model, self.model)]
+        refused = self.refused if names[0] == names[1] else {}  # what a later round refuses, the first one has tested
         return joined(
-            candidates_of(
-                found, effects, sight, lambda share, name: self.progress(0.1 + 0.4 * share, name), self.refused
-            )
+            candidates_of(found, effects, sight, lambda share, name: self.progress(0.1 + 0.4 * share, name), refused)
         )
 
     def scored(self, found: Fit, effects: Sequence[EffectSpec]) -> dict[str, Score]:

@@ -56,10 +56,11 @@ def diagnosed(
     ground: Ground, effects: Sequence[EffectSpec], means: Means, *, seed: int = 1, level: float = LEVEL
 ) -> Diagnosis:
     """The rounds of a diagnosis; effects that the model has are not tried again."""
+    before = {one.name for one in ground.fit.model.effects}
 
     def step_on(ground: Ground) -> Step:
         present = {one.name for one in ground.fit.model.effects}
-        return _step(ground, [one for one in effects if one.name not in present], means, seed, level)
+        return _step(ground, _open(effects, present, present - before), means, seed, level)
 
     steps: list[Step] = []
     while True:
@@ -80,6 +81,12 @@ def diagnosed(
         verdict, proposals = _verdict_on(first, first.tested, means, level, beside)
         first = replace(first, verdict=verdict, proposals=proposals, beside=beside)
     return Diagnosis((first, *further), first.tested or len(effects))
+
+
+def _open(effects: Sequence[EffectSpec], present: Collection[str], added: Collection[str]) -> list[EffectSpec]:
+    """Those that a model does not have; nor what says the same in another way as an effect that a round added."""
+    gone = set(present).union(*(one.excludes for one in effects if one.name in added))
+    return [one for one in effects if one.name not in gone and not set(added) & set(one.excludes)]
 
 
 def _as_part(step: Step, level: float) -> Step | None:

@@ -3,24 +3,65 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import pytest
 
-from luxloop.effect import EffectSpec
-from luxloop.errors import InputError
+from luxloop.effect import AppliedEffect, EffectSpec
+from luxloop.errors import InputError, RemoteError
+from luxloop.failure import Failure
+from luxloop.model import Model
 from tests.validation.analytic import MODEL, PATHS
-from tests.validation.diagnose.made_up import CATALOGUE, CHIPS, Affected, data, spec
+from tests.validation.diagnose.made_up import CATALOGUE, CHIPS, Affected, data, images_of, spec
 from validation.comparing import Solver
 from validation.diagnosing import Diagnosing
 from validation.effects.known import Known
 from validation.measured import MeasuredImage
 from validation.observed import Observed
+from validation.prediction import Predicted
 
 
-def engine(images: list[MeasuredImage], *known: EffectSpec) -> Diagnosing:
+def engine(images: list[MeasuredImage], *known: EffectSpec, predictor: Affected | None = None) -> Diagnosing:
     """A diagnosis of images by these effects."""
     seen, catalogue = Observed(tuple(images), (), (), {}), Known(known, {}, {})
-    return Diagnosing(MODEL, seen, Affected(), catalogue, Solver(None), PATHS)  # type: ignore[arg-type]  # it predicts as a predictor does
+    return Diagnosing(MODEL, seen, predictor or Affected(), catalogue, Solver(None), PATHS)  # type: ignore[arg-type]  # it predicts as a predictor does
+
+
+class OneOfTwo(Affected):
+    """A worker that has ripples or stripes, and not both."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.refusals = 0
+
+    def images(self, model: Model, *more: Any) -> list[Predicted]:
+        """As `Affected`."""
+        if {"ripple", "stripes"} <= {one.name for one in model.effects}:
+            self.refusals += 1
+            raise RemoteError(Failure(code="bad_input", message="one of the two"))
+        return super().images(model, *more)
+
+
+@pytest.mark.parametrize(
+    ("ripple", "stripes", "refusals"), [(("stripes",), (), 0), ((), ("ripple",), 0), ((), (), 1)]
+)
+def test_what_only_a_later_round_cannot_have_was_tested(
+    ripple: tuple[str, ...], stripes: tuple[str, ...], refusals: int
+) -> None:
+    """What says the same as an effect that was added is not asked for; what a worker refuses then is not told."""
+    specs = (
+        spec("ripple").model_copy(update={"excludes": ripple}),
+        CATALOGUE[3].model_copy(update={"excludes": stripes}),
+    )
+    both = AppliedEffect(name="stripes", parameters={"size": 0.08, "length_um": 300.0})
+    fog = AppliedEffect(name="fog", parameters={"size": 0.3})
+    predictor = OneOfTwo()
+    images = images_of(MODEL.model_copy(update={"effects": (both, fog)}), 6)
+    asked = engine(images, *specs, CATALOGUE[2], predictor=predictor)
+    found = asked.diagnosed()
+    assert {one.name for one in found.added} == {"stripes", "fog"}
+    assert asked.untested == []
+    assert predictor.refusals == refusals
 
 
 def test_an_effect_of_chips_is_told_as_not_tested_where_there_are_single_ones_alone() -> None:
