@@ -164,8 +164,11 @@ class Diagnosing:
         return finished(added, found.problem.predictor, found.problem.predict_curves)
 
     def added(self, found: Fit, effect: EffectSpec) -> Fit:
-        """The fit of the model that has an effect besides: where each sample has its own of it, a value for each."""
-        if is_by_sample(effect) and self.observed.of_modules and "modules" in effect.acts_on:
+        """The fit of the model that has an effect besides: where each sample has its own of it, a value for each.
+
+        Samples are those of images: far fields alone have one value, as they had in the diagnosis.
+        """
+        if is_by_sample(effect) and self.observed.images and "modules" in effect.acts_on:
             self.scored(found, [effect])  # what these data cannot show is said first
             return with_own_values(found, effect, self._apart)
         ended = self.refitted(found, effect).fit

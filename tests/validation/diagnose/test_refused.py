@@ -2,23 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from luxloop.effect import AppliedEffect, EffectSpec
 from luxloop.errors import InputError, RemoteError
 from luxloop.failure import Failure
 from luxloop.model import Model
-from tests.validation.analytic import MODEL, PATHS
+from tests.validation.analytic import MODEL, PATHS, SINGLE
 from tests.validation.diagnose.made_up import CATALOGUE, CHIPS, Affected, data, images_of, spec
 from validation.comparing import Solver
+from validation.dataset.manifest import FarFieldShot
+from validation.dataset.spectra import FarFieldTable
 from validation.diagnosing import Diagnosing
 from validation.effects.known import Known
-from validation.measured import MeasuredImage
+from validation.fit import curves_of
+from validation.measured import MeasuredFarField, MeasuredImage
 from validation.observed import Observed
-from validation.prediction import Predicted
+from validation.prediction import FarView, Predicted, PredictedCurve
 
 
 def engine(images: list[MeasuredImage], *known: EffectSpec, predictor: Affected | None = None) -> Diagnosing:
@@ -79,3 +84,35 @@ def test_an_effect_of_chips_is_told_as_not_tested_where_there_are_single_ones_al
         asked.scored(base, [CHIPS, spec("ripple")])
     with pytest.raises(InputError, match="no image is of a module of several chips"):
         asked.added(base, CHIPS)
+
+
+class Far(Affected):
+    """Far fields that ripples bend."""
+
+    def far_fields(
+        self, model: Model, views: Sequence[FarView], paths: Sequence[str], *_: Any
+    ) -> list[PredictedCurve]:
+        """(1 + size cos 6 theta) cos theta / pi."""
+        size = sum(float(one.parameters["size"]) for one in model.effects)  # type: ignore[arg-type]  # a number
+        angles = [np.radians(view.theta_deg) for view in views]
+        bent = [np.cos(6.0 * theta) * np.cos(theta) / np.pi for theta in angles]
+        return [
+            PredictedCurve(np.cos(theta) / np.pi + size * one, dict.fromkeys(paths, one))
+            for theta, one in zip(angles, bent, strict=True)
+        ]
+
+
+def test_what_each_sample_has_of_its_own_is_added_to_far_fields_as_diagnose_named_it() -> None:
+    """Regression: samples were looked for in images, of which there are none, and add refused what was named."""
+    tilted = spec("ripple").model_copy(update={"scope": "per_sample"})
+    theta = np.arange(0.0, 80.0, 2.0)
+    value = (1.0 + 0.1 * np.cos(6.0 * np.radians(theta))) * np.cos(np.radians(theta))
+    noise = 0.003 * np.random.default_rng(1).standard_normal(theta.size)
+    table = FarFieldTable(theta, 0.0 * theta, value + noise, np.full(theta.size, 0.003))
+    shot = FarFieldShot(id="far", kind="far_field", sample=SINGLE.id, file="far.csv")
+    asked = engine([], tilted, predictor=Far())
+    seen = Observed((), tuple(curves_of([], [MeasuredFarField(shot, SINGLE, table)])), (), {})
+    asked = replace(asked, observed=seen, free=())
+    assert asked.diagnosed().set == ("ripple",)
+    added = asked.added(asked.fitted(MODEL), tilted)
+    assert abs(added.value("effects.ripple.size") - 0.1) < 3.0 * added.error("effects.ripple.size")
