@@ -18,7 +18,7 @@ from validation.comparing import Solver, noisy_curves
 from validation.contrasts.structure import DRAWS
 from validation.diagnose.anew import about_itself, has_monte_carlo
 from validation.diagnose.by_sample import is_by_sample, with_members_free, with_own_values
-from validation.diagnose.columns import FitSight, candidates_of
+from validation.diagnose.columns import FitSight, candidates_of, in_shape
 from validation.diagnose.diagnosis import Means, diagnosed
 from validation.diagnose.ending import finished
 from validation.diagnose.frozen import slopes_of
@@ -31,7 +31,7 @@ from validation.diagnose.refitted import Refitted
 from validation.diagnose.rounds import Diagnosis
 from validation.diagnose.score import Candidate, Projected, Score, scores
 from validation.effects.known import Known, for_chips
-from validation.effects.signatures import Column, signature
+from validation.effects.signatures import Column, Projection, signature
 from validation.fit import Fit, fit
 from validation.fit.parameters import free_paths
 from validation.observed import Observed
@@ -144,6 +144,10 @@ class Diagnosing:
             candidates_of(found, effects, sight, lambda share, name: self.progress(0.1 + 0.4 * share, name), refused)
         )
 
+    def in_shape(self, found: Fit, effect: EffectSpec, shape: dict[str, Value]) -> list[Candidate]:
+        """The whitened columns of an effect at a fit, in one shape."""
+        return list(in_shape(found, effect, shape, self._sight_of(found), Projection.of(found)))
+
     def scored(self, found: Fit, effects: Sequence[EffectSpec]) -> dict[str, Score]:
         """Effects at their best shape on a fit, by name; InputError for one that these data cannot show."""
         projected = Projected.of(self.signatures(found, effects), found.basis)
@@ -207,7 +211,10 @@ class Diagnosing:
         effects = self.effects  # a misspelt name is said before anything is traced
         self.progress(0.0, "the fit without more effects")
         ground = self.ground(self.fitted(self.model))
-        means = Means(self.signatures, self.closely, self._members_fit, self.ground, self.next_image, self.progress)
+        means = Means(
+            self.signatures, self.closely, self.in_shape, self._members_fit, self.ground, self.next_image,
+            self.progress,
+        )  # fmt: skip
         return diagnosed(ground, effects, means, seed=self.solver.seed)
 
     def held(self, found: Diagnosis) -> list[Held]:

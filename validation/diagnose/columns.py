@@ -113,7 +113,7 @@ def candidates_of(
     for number, spec in enumerate(effects):
         heard(number / len(effects), spec.name)
         try:
-            own = [one for shape in shapes_of(spec) for one in _of_shape(fit, spec, shape, sight, projection)]
+            own = [one for shape in shapes_of(spec) for one in in_shape(fit, spec, shape, sight, projection)]
         except (InputError, RemoteError) as error:
             if refused is None or (isinstance(error, RemoteError) and error.failure.code != "bad_input"):
                 raise
@@ -125,9 +125,10 @@ def candidates_of(
     return found
 
 
-def _of_shape(
+def in_shape(
     fit: Fit, spec: EffectSpec, shape: dict[str, Value], sight: FitSight, projection: Projection
 ) -> Iterator[Candidate]:
+    """The candidates of an effect in one shape: one for each of its parameters that acts."""
     words = tuple(shape.items())
     if not acting(spec):
         yield from _switches(fit, spec, shape, sight, projection)

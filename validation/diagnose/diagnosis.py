@@ -24,7 +24,7 @@ from validation.diagnose.next_measurement import Proposal, image_can_tell, left_
 from validation.diagnose.refitted import Refitted
 from validation.diagnose.rounds import Diagnosis, Step, is_the_rest, trusted
 from validation.diagnose.score import Candidate, Projected, Scores, scores
-from validation.diagnose.tried import GroundOf, MembersFit, Progress, Tried, columns_of, short_list
+from validation.diagnose.tried import GroundOf, InShape, MembersFit, Progress, Tried, columns_of, short_list
 from validation.diagnose.verdict import Verdict, decided, is_visible, not_trustworthy, nothing_visible
 from validation.effects.confounding import Confounding, confounding
 from validation.fit import AT_LIMIT, NOT_CONVERGED, Fit
@@ -44,6 +44,7 @@ class Means:
     """The whitened columns of effects at a fit: for each parameter with an off value, in each of its shapes."""
     closely: Callable[[Fit, Sequence[EffectSpec]], list[Candidate]]
     """The same of effects that only Monte Carlo shows, with less of its noise."""
+    in_shape: InShape
     members_fit: MembersFit
     ground_of: GroundOf
     """The structure of a further fit, with a null of its own."""
@@ -122,20 +123,20 @@ def _step(ground: Ground, effects: Sequence[EffectSpec], means: Means, seed: int
         return Step(ground, Scores((), 1.0, 0, ()), nobody, (), (), not_trustworthy(doubts))
     means.progress(0.1, "signatures of the effects")
     candidates = means.signatures(fit, effects)
-    projected, scored = _scored(ground, candidates, seed)
+    scored = _scored(ground, candidates, seed)
     visible = is_visible(ground.structure.p, scored.p, level)
     if visible and (faint := blurred(scored)):
         means.progress(0.18, "signatures by more Monte Carlo")
         closer = means.closely(fit, [one for one in effects if one.name in faint])
         candidates = [one for one in candidates if one.effect.name not in faint] + closer
-        projected, scored = _scored(ground, candidates, seed)
-    best = {one.name: columns_of(fit, projected, one.best.candidate) for one in scored.effects}
+        scored = _scored(ground, candidates, seed)
+    best = {one.name: columns_of(fit, one.best.candidate) for one in scored.effects}
     alike = confounding(best)
     if not visible:
         nothing = nothing_visible(limits_in_words(scored, level), more_in_words(fit))
         verdict = not_trustworthy(fit.distrust) if fit.distrust else nothing
         return Step(ground, scored, alike, (), (), verdict)
-    tried = Tried(ground, projected, best, short_list(fit, scored, alike))
+    tried = Tried(ground, means.in_shape, best, short_list(fit, scored, alike))
     tried.refit(means.progress)
     tried.finish(means.progress)
     tried.look_into_group(means.members_fit, means.ground_of)
@@ -143,9 +144,9 @@ def _step(ground: Ground, effects: Sequence[EffectSpec], means: Means, seed: int
     return Step(ground, scored, alike, tuple(tried.refits), tuple(tried.explanations), verdict, proposals)
 
 
-def _scored(ground: Ground, candidates: Sequence[Candidate], seed: int) -> tuple[Projected, Scores]:
+def _scored(ground: Ground, candidates: Sequence[Candidate], seed: int) -> Scores:
     projected = Projected.of(candidates, ground.fit.basis)
-    return projected, scores(projected, ground.fit.residual_with_priors, ground.fit.variance_scale, seed=seed)
+    return scores(projected, ground.fit.residual_with_priors, ground.fit.variance_scale, seed=seed)
 
 
 def blurred(scored: Scores) -> set[str]:

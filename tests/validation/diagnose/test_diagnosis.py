@@ -32,7 +32,7 @@ from tests.validation.diagnose.made_up import (
     spec,
 )
 from validation import told_diagnosis
-from validation.diagnose.columns import FitSight, candidates_of
+from validation.diagnose.columns import FitSight, candidates_of, in_shape
 from validation.diagnose.diagnosis import beyond_limits
 from validation.diagnose.document import document, effect_document
 from validation.diagnose.ending import finished
@@ -48,6 +48,7 @@ from validation.diagnose.refitted import with_fit
 from validation.diagnose.rounds import Diagnosis, Step, is_the_rest, trusted
 from validation.diagnose.score import Projected, scores
 from validation.diagnose.verdict import decided
+from validation.effects.signatures import Projection
 from validation.fit import NOT_CONVERGED, Fit, fit, refitted
 from validation.fit.parameters import free_paths
 from validation.redeciding import diagnosis as redecided
@@ -89,8 +90,9 @@ def test_one_effect_is_named_with_its_size() -> None:
     scored, base = found.steps[0].scores.of("stripes"), found.steps[0].ground.fit
     assert scored is not None
     assert scored.best.size != best.value
-    column = np.linalg.norm(base.basis.left(scored.best.candidate.columns))  # sigma is of the fitted size
-    assert best.sigma == pytest.approx(abs(best.value) * column, rel=1e-9)
+    sight, taken = FitSight.of(base, Affected()), Projection.of(base)  # type: ignore[arg-type]  # it predicts, too
+    (one,) = in_shape(base, CATALOGUE[3], dict(best.shape), sight, taken)  # sigma is of the fitted size and length
+    assert best.sigma == pytest.approx(abs(best.value) * np.linalg.norm(base.basis.left(one.columns)), rel=1e-9)
 
 
 @pytest.mark.parametrize(("a", "b"), [(0.08, 0.06), (-0.06, 0.08), (0.08, 0.0)])
