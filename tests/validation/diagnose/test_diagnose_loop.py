@@ -183,13 +183,16 @@ def test_no_image_is_looked_for_that_would_tell_films_apart(
 
     @contextmanager
     def pretended(*_: Any, **__: Any) -> Iterator[Any]:
-        films = SimpleNamespace(acts_on=("films",))
-        yield SimpleNamespace(observed=SimpleNamespace(images=images), spec=lambda _: films), None, None
+        yield SimpleNamespace(observed=SimpleNamespace(images=images), spec=acting_on), None, None
+
+    def acting_on(name: str) -> Any:
+        return SimpleNamespace(name=name, acts_on=("films",) if name.startswith("film") else ("modules",))
 
     monkeypatch.setattr(diagnose_command, "diagnosing", pretended)
     with pytest.raises(InputError, match="measure the films' thickness or index") as refused:
-        diagnose_command.next_(["film_interlayer", "film_missing_layer"])
+        diagnose_command.next_(["vignetting", "film_interlayer", "film_missing_layer"])
     assert refused.value.field == field
+    assert refused.value.value == {"[data]": "no images", "EFFECT": "film_interlayer, film_missing_layer"}[field]
 
 
 @pytest.mark.parametrize(
