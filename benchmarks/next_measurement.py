@@ -34,7 +34,7 @@ from validation.dataset.manifest import CameraFacts, Sample
 from validation.dataset.simulate import write_dataset
 from validation.dataset.simulated_images import Expected, expected_images, exposed, views_of
 from validation.dataset.simulation_plan import paper_plan
-from validation.diagnose.next_measurement import Proposal
+from validation.diagnose.proposal import Proposal
 from validation.diagnose.rounds import Diagnosis
 from validation.diagnosing import Diagnosing
 from validation.effects.confounding import TOLD_APART, left_beside

@@ -193,7 +193,8 @@ def next_(
     """Name the measurement that would tell rival effects apart, with the sigma to expect and the stanza to fill."""
     from validation import told_diagnosis as told
     from validation.diagnose.frozen import slopes_of
-    from validation.diagnose.next_measurement import NO_FILM, Rivals, left_out_of
+    from validation.diagnose.next_measurement import Rivals, left_out_of
+    from validation.diagnose.proposal import NO_FILM
     from validation.diagnose.refit import refit
 
     rivals = list(dict.fromkeys(effects or rivals_of(model)))

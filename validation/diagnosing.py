@@ -25,7 +25,8 @@ from validation.diagnose.frozen import slopes_of
 from validation.diagnose.ground import Ground
 from validation.diagnose.groups import joined
 from validation.diagnose.held import Held, held_alike
-from validation.diagnose.next_measurement import Proposal, Rivals
+from validation.diagnose.next_measurement import Rivals
+from validation.diagnose.proposal import Proposal
 from validation.diagnose.refit import refit
 from validation.diagnose.refitted import Refitted
 from validation.diagnose.rounds import Diagnosis

@@ -20,7 +20,8 @@ from luxloop.effect import EffectSpec
 from validation.diagnose.explanation import LEVEL
 from validation.diagnose.ground import Ground
 from validation.diagnose.in_words import left_in_words, limits_in_words, more_in_words
-from validation.diagnose.next_measurement import Proposal, image_can_tell, left_out_of, next_in_words
+from validation.diagnose.next_measurement import image_can_tell, left_out_of
+from validation.diagnose.proposal import Proposal, next_in_words
 from validation.diagnose.refitted import Refitted
 from validation.diagnose.rounds import Diagnosis, Step, is_the_rest, trusted
 from validation.diagnose.score import Candidate, Projected, Scores, scores

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from validation.diagnose.explanation import LEVEL, Explanation
 from validation.diagnose.ground import Ground
 from validation.diagnose.in_words import left_in_words
-from validation.diagnose.next_measurement import Proposal
+from validation.diagnose.proposal import Proposal
 from validation.diagnose.refitted import Refitted
 from validation.diagnose.score import Scores
 from validation.diagnose.verdict import HALF, Verdict, concluded, further_in_words, told_of_rest

@@ -26,7 +26,7 @@ from validation.diagnose.by_sample import with_own_values
 from validation.diagnose.columns import FitSight, candidates_of, in_shape
 from validation.diagnose.diagnosis import Means, diagnosed
 from validation.diagnose.ground import Ground
-from validation.diagnose.next_measurement import Proposal
+from validation.diagnose.proposal import Proposal
 from validation.diagnose.rounds import Diagnosis
 from validation.diagnose.score import Candidate
 from validation.effects.signatures import Column, Projection, signature

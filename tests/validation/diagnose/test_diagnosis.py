@@ -42,7 +42,7 @@ from validation.diagnose.frozen import slopes_of
 from validation.diagnose.groups import joined
 from validation.diagnose.in_words import limits
 from validation.diagnose.ladder import Rung
-from validation.diagnose.next_measurement import NO_FILM
+from validation.diagnose.proposal import NO_FILM
 from validation.diagnose.refit import posed, refit
 from validation.diagnose.refitted import with_fit
 from validation.diagnose.rounds import Diagnosis, Step, is_the_rest, trusted

@@ -21,7 +21,8 @@ from tests.validation.diagnose.made_up import CHIPS, LENGTH, THIRD, Affected, da
 from tests.validation.effects.test_signatures import AMPLITUDE, BASE, ONE, SIDE, SINGLE, Pretended, sight_of, spec_of
 from validation.dataset.manifest import Sample
 from validation.diagnose.columns import FitSight, candidates_of
-from validation.diagnose.next_measurement import Proposal, Rivals, image_can_tell, left_out_of, next_in_words
+from validation.diagnose.next_measurement import Rivals, image_can_tell, left_out_of
+from validation.diagnose.proposal import Proposal, next_in_words
 from validation.diagnose.refitted import Refitted
 from validation.diagnose.score import Candidate, Projected
 from validation.effects.confounding import left_beside
