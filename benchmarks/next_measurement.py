@@ -143,9 +143,9 @@ def trial(bench: Bench, case: tuple[str, float, str], seed: int) -> bool | None:
     engine = bench.engine(bench.observed(expected, seed), pair, seed)
     first = engine.diagnosed()
     print(f"seed {seed}: {hidden} {value:.3g} hidden, rival {rival}: {told(first)}", flush=True)
-    if first.verdict.word != "cannot_tell_apart" or not engine.proposals:
+    if first.verdict.word != "cannot_tell_apart" or not first.proposals:
         return None
-    best = engine.proposals[0]
+    best = first.proposals[0]
     if best.expected_sigma < TOLD_APART:
         print(f"  {first.verdict.sentence}", flush=True)
         return None
