@@ -34,7 +34,7 @@ from validation.dataset.manifest import CameraFacts, Sample
 from validation.dataset.simulate import write_dataset
 from validation.dataset.simulated_images import Expected, expected_images, exposed, views_of
 from validation.dataset.simulation_plan import paper_plan
-from validation.diagnose.next_measurement import Proposal
+from validation.diagnose.proposal import Proposal
 from validation.diagnose.rounds import Diagnosis
 from validation.diagnosing import Diagnosing
 from validation.effects.confounding import TOLD_APART, left_beside
@@ -143,9 +143,9 @@ def trial(bench: Bench, case: tuple[str, float, str], seed: int) -> bool | None:
     engine = bench.engine(bench.observed(expected, seed), pair, seed)
     first = engine.diagnosed()
     print(f"seed {seed}: {hidden} {value:.3g} hidden, rival {rival}: {told(first)}", flush=True)
-    if first.verdict.word != "cannot_tell_apart" or not engine.proposals:
+    if first.verdict.word != "cannot_tell_apart" or not first.proposals:
         return None
-    best = engine.proposals[0]
+    best = first.proposals[0]
     if best.expected_sigma < TOLD_APART:
         print(f"  {first.verdict.sentence}", flush=True)
         return None

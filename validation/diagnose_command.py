@@ -193,7 +193,8 @@ def next_(
     """Name the measurement that would tell rival effects apart, with the sigma to expect and the stanza to fill."""
     from validation import told_diagnosis as told
     from validation.diagnose.frozen import slopes_of
-    from validation.diagnose.next_measurement import NO_FILM, Rivals, left_out_of
+    from validation.diagnose.next_measurement import Rivals, left_out_of
+    from validation.diagnose.proposal import NO_FILM
     from validation.diagnose.refit import refit
 
     rivals = list(dict.fromkeys(effects or rivals_of(model)))
@@ -207,6 +208,9 @@ def next_(
         specs = [engine.spec(name) for name in rivals]
         if not engine.observed.images:
             raise InputError("[data]", "no images", "data with images: further images are proposed", NO_FILM)
+        if films := [one.name for one in specs if "modules" not in one.acts_on]:
+            allowed = "effects of modules: further images are proposed"
+            raise InputError("EFFECT", ", ".join(films), allowed, NO_FILM)
         base = engine.fitted(engine.model)
         scores = engine.scored(base, specs)
         slopes = slopes_of(base)

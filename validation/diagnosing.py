@@ -18,20 +18,21 @@ from validation.comparing import Solver, noisy_curves
 from validation.contrasts.structure import DRAWS
 from validation.diagnose.anew import about_itself, has_monte_carlo
 from validation.diagnose.by_sample import is_by_sample, with_members_free, with_own_values
-from validation.diagnose.columns import FitSight, candidates_of
+from validation.diagnose.columns import FitSight, candidates_of, in_shape
 from validation.diagnose.diagnosis import Means, diagnosed
 from validation.diagnose.ending import finished
 from validation.diagnose.frozen import slopes_of
 from validation.diagnose.ground import Ground
 from validation.diagnose.groups import joined
 from validation.diagnose.held import Held, held_alike
-from validation.diagnose.next_measurement import Proposal, Rivals
+from validation.diagnose.next_measurement import Rivals
+from validation.diagnose.proposal import Proposal
 from validation.diagnose.refit import refit
 from validation.diagnose.refitted import Refitted
 from validation.diagnose.rounds import Diagnosis
 from validation.diagnose.score import Candidate, Projected, Score, scores
 from validation.effects.known import Known, for_chips
-from validation.effects.signatures import Column, signature
+from validation.effects.signatures import Column, Projection, signature
 from validation.fit import Fit, fit
 from validation.fit.parameters import free_paths
 from validation.observed import Observed
@@ -65,7 +66,7 @@ class Diagnosing:
     among: tuple[str, ...] = ()
     """Names of the effects to choose from; none: all."""
     refused: dict[str, str] = field(default_factory=dict)
-    """Effects that cannot be had with these samples, with the reason."""
+    """Effects that cannot be had with these samples beside the model's own, with the reason."""
     traced: dict[tuple[object, ...], list[Column]] = field(default_factory=dict)
     """Columns of effects by Monte Carlo, kept from round to round."""
     traced_closely: dict[tuple[object, ...], list[Column]] = field(default_factory=dict)
@@ -138,11 +139,15 @@ class Diagnosing:
         return self._candidates(found, effects, self._sight_of(found).closer(CLOSELY, self.traced_closely))
 
     def _candidates(self, found: Fit, effects: Sequence[EffectSpec], sight: FitSight) -> list[Candidate]:
+        names = [[one.name for one in model.effects] for model in (found.model, self.model)]
+        refused = self.refused if names[0] == names[1] else {}  # what a later round refuses, the first one has tested
         return joined(
-            candidates_of(
-                found, effects, sight, lambda share, name: self.progress(0.1 + 0.4 * share, name), self.refused
-            )
+            candidates_of(found, effects, sight, lambda share, name: self.progress(0.1 + 0.4 * share, name), refused)
         )
+
+    def in_shape(self, found: Fit, effect: EffectSpec, shape: dict[str, Value]) -> list[Candidate]:
+        """The whitened columns of an effect at a fit, in one shape."""
+        return list(in_shape(found, effect, shape, self._sight_of(found), Projection.of(found)))
 
     def scored(self, found: Fit, effects: Sequence[EffectSpec]) -> dict[str, Score]:
         """Effects at their best shape on a fit, by name; InputError for one that these data cannot show."""
@@ -164,8 +169,11 @@ class Diagnosing:
         return finished(added, found.problem.predictor, found.problem.predict_curves)
 
     def added(self, found: Fit, effect: EffectSpec) -> Fit:
-        """The fit of the model that has an effect besides: where each sample has its own of it, a value for each."""
-        if is_by_sample(effect) and self.observed.of_modules and "modules" in effect.acts_on:
+        """The fit of the model that has an effect besides: where each sample has its own of it, a value for each.
+
+        Samples are those of images: far fields alone have one value, as they had in the diagnosis.
+        """
+        if is_by_sample(effect) and self.observed.images and "modules" in effect.acts_on:
             self.scored(found, [effect])  # what these data cannot show is said first
             return with_own_values(found, effect, self._apart)
         ended = self.refitted(found, effect).fit
@@ -204,7 +212,10 @@ class Diagnosing:
         effects = self.effects  # a misspelt name is said before anything is traced
         self.progress(0.0, "the fit without more effects")
         ground = self.ground(self.fitted(self.model))
-        means = Means(self.signatures, self.closely, self._members_fit, self.ground, self.next_image, self.progress)
+        means = Means(
+            self.signatures, self.closely, self.in_shape, self._members_fit, self.ground, self.next_image,
+            self.progress,
+        )  # fmt: skip
         return diagnosed(ground, effects, means, seed=self.solver.seed)
 
     def held(self, found: Diagnosis) -> list[Held]:

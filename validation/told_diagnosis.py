@@ -7,7 +7,7 @@ from itertools import groupby
 from typing import Any
 
 from validation.diagnose.explanation import size_in_words
-from validation.diagnose.next_measurement import chip_by_chip, next_in_words
+from validation.diagnose.proposal import chip_by_chip, next_in_words
 from validation.told import table, warnings
 
 Document = Mapping[str, Any]

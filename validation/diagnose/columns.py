@@ -23,6 +23,9 @@ from validation.prediction.differences import Moved
 
 Real = NDArray[np.float64]
 
+NO_CHIPS = "no image is of a module of several chips"
+"""Why an effect that has a number for each chip has no column: the power of a single one is its image's gain."""
+
 
 @dataclass(eq=False)
 class FitSight(Sight):
@@ -103,25 +106,29 @@ def candidates_of(
     Parameters
     ----------
     refused : is told, by name, why an effect cannot be had with these samples (walls where the camera looks beyond
-        them, a layer that the film does not have); none: the RemoteError is raised.
+        them, a layer that the film does not have, a number for each chip of single ones); none: a RemoteError is
+        raised.
     """
     projection, found = Projection.of(fit), list[Candidate]()
     for number, spec in enumerate(effects):
         heard(number / len(effects), spec.name)
         try:
-            own = [one for shape in shapes_of(spec) for one in _of_shape(fit, spec, shape, sight, projection)]
+            own = [one for shape in shapes_of(spec) for one in in_shape(fit, spec, shape, sight, projection)]
         except (InputError, RemoteError) as error:
             if refused is None or (isinstance(error, RemoteError) and error.failure.code != "bad_input"):
                 raise
             refused[spec.name] = str(error).removeprefix("bad_input: ")
             continue
+        if not own and refused is not None:
+            refused[spec.name] = NO_CHIPS
         found += own
     return found
 
 
-def _of_shape(
+def in_shape(
     fit: Fit, spec: EffectSpec, shape: dict[str, Value], sight: FitSight, projection: Projection
 ) -> Iterator[Candidate]:
+    """The candidates of an effect in one shape: one for each of its parameters that acts."""
     words = tuple(shape.items())
     if not acting(spec):
         yield from _switches(fit, spec, shape, sight, projection)

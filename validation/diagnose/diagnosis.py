@@ -20,11 +20,12 @@ from luxloop.effect import EffectSpec
 from validation.diagnose.explanation import LEVEL
 from validation.diagnose.ground import Ground
 from validation.diagnose.in_words import left_in_words, limits_in_words, more_in_words
-from validation.diagnose.next_measurement import Proposal, left_out_of, next_in_words
+from validation.diagnose.next_measurement import image_can_tell, left_out_of
+from validation.diagnose.proposal import Proposal, next_in_words
 from validation.diagnose.refitted import Refitted
 from validation.diagnose.rounds import Diagnosis, Step, is_the_rest, trusted
 from validation.diagnose.score import Candidate, Projected, Scores, scores
-from validation.diagnose.tried import GroundOf, MembersFit, Progress, Tried, columns_of, short_list
+from validation.diagnose.tried import GroundOf, InShape, MembersFit, Progress, Tried, columns_of, short_list
 from validation.diagnose.verdict import Verdict, decided, is_visible, not_trustworthy, nothing_visible
 from validation.effects.confounding import Confounding, confounding
 from validation.fit import AT_LIMIT, NOT_CONVERGED, Fit
@@ -44,6 +45,7 @@ class Means:
     """The whitened columns of effects at a fit: for each parameter with an off value, in each of its shapes."""
     closely: Callable[[Fit, Sequence[EffectSpec]], list[Candidate]]
     """The same of effects that only Monte Carlo shows, with less of its noise."""
+    in_shape: InShape
     members_fit: MembersFit
     ground_of: GroundOf
     """The structure of a further fit, with a null of its own."""
@@ -54,10 +56,11 @@ class Means:
 
 def diagnosed(ground: Ground, effects: Sequence[EffectSpec], means: Means, *, seed: int = 1) -> Diagnosis:
     """The rounds of a diagnosis; effects that the model has are not tried again."""
+    before = {one.name for one in ground.fit.model.effects}
 
     def step_on(ground: Ground) -> Step:
         present = {one.name for one in ground.fit.model.effects}
-        return _step(ground, [one for one in effects if one.name not in present], means, seed)
+        return _step(ground, _open(effects, present, present - before), means, seed)
 
     steps: list[Step] = []
     while True:
@@ -67,7 +70,7 @@ def diagnosed(ground: Ground, effects: Sequence[EffectSpec], means: Means, *, se
         if fit is None or step.best.p_left >= LEVEL / 2.0 or len(steps) == MOST_STEPS:
             break
         ground = means.ground_of(fit)
-    part = _as_part(steps[0], len(effects))
+    part = _as_part(steps[0])
     if part is not None and part.leads_to is not None:
         rest = step_on(means.ground_of(part.leads_to))
         steps = [part, rest] if is_the_rest(part, rest) else steps
@@ -75,16 +78,22 @@ def diagnosed(ground: Ground, effects: Sequence[EffectSpec], means: Means, *, se
     is_open = first is part or first.verdict.word == "cannot_tell_apart"
     if further and is_open and is_the_rest(first, further[-1]):
         beside = tuple(one.best.name for one in further)
-        verdict, proposals = _verdict_on(first, len(effects), means, beside)
+        verdict, proposals = _verdict_on(first, first.tested, means, beside)
         first = replace(first, verdict=verdict, proposals=proposals, beside=beside)
-    return Diagnosis((first, *further), len(effects))
+    return Diagnosis((first, *further), first.tested or len(effects))
 
 
-def _as_part(step: Step, known: int) -> Step | None:
+def _open(effects: Sequence[EffectSpec], present: Collection[str], added: Collection[str]) -> list[EffectSpec]:
+    """Those that a model does not have; nor what says the same in another way as an effect that a round added."""
+    gone = set(present).union(*(one.excludes for one in effects if one.name in added))
+    return [one for one in effects if one.name not in gone and not set(added) & set(one.excludes)]
+
+
+def _as_part(step: Step) -> Step | None:
     """The round with the effect that explains most named, where it explains too little to be named alone."""
     if step.verdict.names or not step.explanations:
         return None
-    return replace(step, verdict=decided(step.explanations, known, str, lambda _: "", beside=()))
+    return replace(step, verdict=decided(step.explanations, step.tested, str, lambda _: "", beside=()))
 
 
 def _verdict_on(
@@ -98,7 +107,8 @@ def _verdict_on(
         by_name = {one.candidate.effect.name: one for one in tried.refits}
         rivals = [by_name[name] for name in names]
         proposals[:] = means.next_image(fit, rivals)
-        return next_in_words(proposals, left_out_of(rivals), images=bool(fit.problem.images))
+        told = image_can_tell(fit.problem.images, [one.candidate.effect for one in rivals])
+        return next_in_words(proposals, left_out_of(rivals), images=told)
 
     left = partial(left_in_words, tried.ground, tried.explanations)
     verdict = decided(tried.explanations, known, left, next_image, beside=beside)
@@ -112,29 +122,29 @@ def _step(ground: Ground, effects: Sequence[EffectSpec], means: Means, seed: int
         return Step(ground, Scores((), 1.0, 0, ()), nobody, (), (), not_trustworthy(doubts))
     means.progress(0.1, "signatures of the effects")
     candidates = means.signatures(fit, effects)
-    projected, scored = _scored(ground, candidates, seed)
+    scored = _scored(ground, candidates, seed)
     if is_visible(ground.structure.p, scored.p) and (faint := blurred(scored)):
         means.progress(0.18, "signatures by more Monte Carlo")
         closer = means.closely(fit, [one for one in effects if one.name in faint])
         candidates = [one for one in candidates if one.effect.name not in faint] + closer
-        projected, scored = _scored(ground, candidates, seed)
-    best = {one.name: columns_of(fit, projected, one.best.candidate) for one in scored.effects}
+        scored = _scored(ground, candidates, seed)
+    best = {one.name: columns_of(fit, one.best.candidate) for one in scored.effects}
     alike = confounding(best)
     if not is_visible(ground.structure.p, scored.p):
         nothing = nothing_visible(limits_in_words(scored), more_in_words(fit))
         verdict = not_trustworthy(fit.distrust) if fit.distrust else nothing
         return Step(ground, scored, alike, (), (), verdict)
-    tried = Tried(ground, projected, best, short_list(fit, scored, alike))
+    tried = Tried(ground, means.in_shape, best, short_list(fit, scored, alike))
     tried.refit(means.progress)
     tried.finish(means.progress)
     tried.look_into_group(means.members_fit, means.ground_of)
-    verdict, proposals = _verdict_on(tried, len(effects), means)
+    verdict, proposals = _verdict_on(tried, len({one.effect.name for one in candidates}), means)
     return Step(ground, scored, alike, tuple(tried.refits), tuple(tried.explanations), verdict, proposals)
 
 
-def _scored(ground: Ground, candidates: Sequence[Candidate], seed: int) -> tuple[Projected, Scores]:
+def _scored(ground: Ground, candidates: Sequence[Candidate], seed: int) -> Scores:
     projected = Projected.of(candidates, ground.fit.basis)
-    return projected, scores(projected, ground.fit.residual_with_priors, ground.fit.variance_scale, seed=seed)
+    return scores(projected, ground.fit.residual_with_priors, ground.fit.variance_scale, seed=seed)
 
 
 def blurred(scored: Scores) -> set[str]:

@@ -12,7 +12,7 @@ from luxloop import __version__
 from validation.contrasts.structure import Structure
 from validation.diagnose.explanation import Explanation
 from validation.diagnose.in_words import limits
-from validation.diagnose.next_measurement import Proposal
+from validation.diagnose.proposal import Proposal
 from validation.diagnose.rounds import Diagnosis, Step
 from validation.fit import Fit
 from validation.sample_values import LEAD

@@ -12,23 +12,25 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from luxloop.effect import EffectSpec
 from luxloop.errors import InputError, RemoteError
 from luxloop.model import Model
 from validation.dataset.manifest import Sample
 from validation.diagnose.columns import FitSight
+from validation.diagnose.proposal import Proposal
 from validation.diagnose.refitted import Refitted
 from validation.diagnose.separation import Rows, sigma_left
-from validation.effects.confounding import TOLD_APART
 from validation.effects.known import applied, nearly_off, off_values, with_effect
 from validation.effects.signatures import HISTORIES, RUNS, Sight
 from validation.fit import Fit
 from validation.fit.model_noise import NoiseBlock
+from validation.fit.parameters import tied
 from validation.fit.problem import Evaluation, sensor_of, view_of
+from validation.fit.whitening import Whitening
 from validation.measured import MeasuredImage
 from validation.prediction import POSE_COLUMNS, Anchored, Pose, Predictor, Sensor
 from validation.prediction.differences import Moved
@@ -42,27 +44,6 @@ MANY_PAIRS = 9.5
 EXPOSURES = 4.0
 
 
-@dataclass(frozen=True)
-class Proposal:
-    """A measurement, and what it would bring."""
-
-    words: str
-    sample: Sample
-    exposure_ratio: float
-    expected_sigma: float
-    now_sigma: float
-    is_there: bool = False
-    """Whether the sample is one of those that were measured."""
-
-    def document(self) -> dict[str, Any]:
-        """As plain values, with the stanza for the manifest."""
-        return {
-            "words": self.words, "sample": self.sample.model_dump(mode="json", exclude_defaults=True),
-            "exposure_ratio": self.exposure_ratio, "expected_sigma": self.expected_sigma,
-            "now_sigma": self.now_sigma, "stanza": stanza(self.sample, self.is_there, self.exposure_ratio),
-        }  # fmt: skip
-
-
 @dataclass(frozen=True, eq=False)
 class Rivals:
     """Effects at their fitted sizes on one fit: what a further image is to tell apart."""
@@ -74,14 +55,13 @@ class Rivals:
     """Names of effects that the twin cannot represent."""
 
     def proposals(self, heard: Callable[[float, str], None] = lambda *_: None) -> list[Proposal]:
-        """All candidates, the best first. Empty where not two of the rivals have a size."""
-        paths = self._paths
-        usable = [one for one in self.refits if _has_size(one)]
-        if len(usable) < 2 or not self.fit.problem.images:
+        """All candidates, the best first. Empty where not two of the rivals have a size that an image shows."""
+        usable = [one for one in self.refits if _has_size(one) and "modules" in one.candidate.effect.acts_on]
+        if not image_can_tell(self.fit.problem.images, [one.candidate.effect for one in usable]):
             return []
         changes = self._changes(usable)
         here = self._on_measured(self.fit.problem.images, changes)
-        prior_sd = np.array([p.prior_sd for p in self.fit.problem.unknowns.parameters if p.name in paths])
+        prior_sd = self._prior_sd(self._shared)
         now = _separation([here], prior_sd, usable)
         found = []
         samples = [image.sample for image in self.fit.problem.images]
@@ -92,7 +72,7 @@ class Rivals:
                 if sample in samples:
                     rows = [self._on_measured(self._with_more_of(sample, exposure), changes)]
                 else:
-                    rows = [here, self._there(sample, exposure, usable, paths)]
+                    rows = [here, self._there(sample, exposure, usable)]
             except (InputError, RemoteError) as error:  # a sample that cannot be built is no proposal
                 if isinstance(error, RemoteError) and error.failure.code != "bad_input":
                     raise
@@ -103,28 +83,40 @@ class Rivals:
 
     @property
     def _paths(self) -> tuple[str, ...]:
-        """What a further image says more of: not what other samples have of their own."""
+        """Of the model, what a further image says more of: not what other samples have of their own."""
         return tuple(path for path in self.fit.problem.unknowns.model_paths if not path.startswith(LEAD))
 
+    @property
+    def _shared(self) -> tuple[str, ...]:
+        """All that a further image says more of: the gain, too, where it follows the exposure."""
+        return (*self._paths, *(name for name in self.fit.names if name == "gain"))
+
+    def _prior_sd(self, names: Sequence[str]) -> Real:
+        """Of unknowns of the fit; inf without a prior."""
+        by_name = {one.name: one.prior_sd for one in self.fit.problem.unknowns.parameters}
+        return np.array([by_name[name] for name in names])
+
     def _changes(self, usable: Sequence[Refitted]) -> dict[str, list[Real]]:
-        """What each effect of its fitted size does to the images that were measured, in DN, by its name."""
+        """What each effect of its fitted size does to what was measured: images in DN, then curves; by its name."""
         fit = self.fit
         sight = FitSight.of(fit, self.predictor, self.beyond_twin)
-        gains = [fit.gains[one.shot.id] for one in fit.problem.images]
+        scales = [fit.gains[one.shot.id] for one in fit.problem.images]
+        scales += [fit.value(f"{one.id}.scale") if one.free_scale else 1.0 for one in fit.problem.curves]
         return {
             one.candidate.effect.name: [
-                gain * part for gain, part in zip(gains, self._change(sight, one)[: len(gains)], strict=True)
+                scale * part for scale, part in zip(scales, self._change(sight, one), strict=True)
             ]
             for one in usable
         }
 
     def _on_measured(self, images: Sequence[MeasuredImage], changes: Mapping[str, list[Real]]) -> Rows:
-        """The columns on the rows that were measured, by the noise of these images."""
+        """The columns on the rows that were measured, by the noise of these images; those of curves stay."""
         at = replace(self._measured, problem=replace(self.fit.problem, images=tuple(images)))
-        white, own = at.whitening(), [name in self._paths for name in self.fit.names]
-        columns = at.columns(white)[:, : white.count]
-        effects = {name: white.rows(change) for name, change in changes.items()}
-        return Rows(columns[own], columns[np.logical_not(own)], effects)
+        white = at.whitening()
+        columns = at.columns(white)
+        own = np.isin(self.fit.names, self._shared)
+        effects = {name: _white(white, change) for name, change in changes.items()}
+        return Rows(columns[own], columns[~own], self._prior_sd(self.fit.names)[~own], effects)
 
     def _with_more_of(self, sample: Sample, exposure: float) -> list[MeasuredImage]:
         """The images; the first one of a sample is the mean with another of `exposure` times its light.
@@ -138,9 +130,13 @@ class Rivals:
         images[at] = replace(one, constant_dn2=constant_dn2, slope_dn=one.slope_dn / more)
         return images
 
-    def _there(self, sample: Sample, exposure: float, usable: Sequence[Refitted], paths: Sequence[str]) -> Rows:
-        """The columns that an image of a sample would have, with a peak as bright as those that were taken."""
-        fit, like = self.fit, _nearest(self.fit.problem.images, sample)
+    def _there(self, sample: Sample, exposure: float, usable: Sequence[Refitted]) -> Rows:
+        """The columns that an image of a sample would have, with a peak as bright as those that were taken.
+
+        Its gain (or what that errs by from its exposure), its offset and its place are its own, under priors as those
+        of the images.
+        """
+        fit, like, paths = self.fit, _nearest(self.fit.problem.images, sample), self._paths
         at = self.fit.problem.unknowns.named(self.fit.values)
         view = replace(view_of(like, Pose()), sample=sample, sensor=sensor_of(like, at))
         traced = any(effect.name in self.beyond_twin for effect in fit.model.effects)
@@ -163,10 +159,14 @@ class Rivals:
         by_gain = signal if found.by_gain_per_mm2 is None else gain * found.by_gain_per_mm2
         by_offset = np.ones_like(signal) if found.by_offset is None else found.by_offset
         nuisances = [by_gain, by_offset, *(gain * found.jacobian_per_mm2[name] for name in POSE_COLUMNS)]
+        names = ("gain_error" if tied(like) else "gain", "offset_dn", *POSE_COLUMNS)
+        shared = [gain * found.jacobian_per_mm2[path] for path in paths]
+        shared += [by_gain / at["gain"]] if tied(like) else []
         changes = rows([gain * self._change(sight, one)[0] for one in usable])
         return Rows(
-            rows([gain * found.jacobian_per_mm2[path] for path in paths]),
+            rows(shared),
             rows(nuisances),
+            self._prior_sd([f"{like.shot.id}.{name}" for name in names]),
             {one.candidate.effect.name: row for one, row in zip(usable, changes, strict=True)},
         )
 
@@ -205,6 +205,11 @@ def left_out_of(refits: Sequence[Refitted]) -> list[str]:
     return [one.candidate.effect.name for one in refits if not _has_size(one)]
 
 
+def image_can_tell(images: Sequence[MeasuredImage], effects: Sequence[EffectSpec]) -> bool:
+    """Whether there are images, and two effects or more that a further one would show: those of films are in none."""
+    return bool(images) and sum("modules" in one.acts_on for one in effects) > 1
+
+
 def candidates_of(samples: Sequence[Sample]) -> Iterator[tuple[str, Sample, float]]:
     """(words, sample, exposure ratio) of what could be measured next, from what was."""
     seen = set()
@@ -225,48 +230,11 @@ def candidates_of(samples: Sequence[Sample]) -> Iterator[tuple[str, Sample, floa
     yield f"{base.id} again at {EXPOSURES:g} times the exposure (or frames)", base, EXPOSURES
 
 
-NO_IMAGE = "No further image of these samples would separate them: measure the camera's own targets first."
-NO_FILM = "measure the films' thickness or index by another method, and fix them in the data set"
-
-
-def next_in_words(proposals: Sequence[Proposal], left_out: Sequence[str] = (), *, images: bool = True) -> str:
-    """The sentence that a verdict ends with.
-
-    `left_out`: rivals that the proposals are not about. `images`: whether there are any, for no others are proposed.
-    """
-    if not images:
-        return f"To separate them, {NO_FILM}."
-    if not proposals:
-        return f"Which image would separate them is not known: {chip_by_chip(left_out)}" if left_out else NO_IMAGE
-    best = proposals[0]
-    expected = f"expected separation {best.expected_sigma:.0f} sigma (now {best.now_sigma:.1f})"
-    if best.expected_sigma < TOLD_APART:
-        expected += f", less than the {TOLD_APART:.0f} that tell them apart: it takes more than that"
-    others = f" That is of the others: {chip_by_chip(left_out)}" if left_out else ""
-    return f"Take one image: {best.words}: {expected}.{others}"
-
-
-def chip_by_chip(names: Sequence[str]) -> str:
-    """Why rivals of these names are left out."""
-    has = "has a number of its own" if len(names) == 1 else "have numbers of their own"
-    return f"{', '.join(names)} {has} for each chip."
-
-
-def stanza(sample: Sample, is_there: bool, exposure_ratio: float = 1.0) -> str:
-    """What to fill into dataset.toml once the image is taken; of a sample that `is_there`, only a shot more."""
-    lines, shot = [], f"further-{sample.id}" if is_there else sample.id
-    if not is_there:
-        lines = ["[[samples]]", *_as_toml(sample), ""]
-    exposure = "exposure_ms = 0.0  # fill in"
-    if exposure_ratio != 1.0:
-        exposure += f": {exposure_ratio:g} times that of {sample.id}, or frames_averaged = {exposure_ratio:g}"
-    lines += ["[[shots]]", f'id = "{shot}"', 'kind = "image"', f'sample = "{sample.id}"']
-    return "\n".join([*lines, f'file = "images/{shot}.tif"', exposure, ""])
-
-
-def _as_toml(sample: Sample) -> Iterator[str]:
-    for name, value in sample.model_dump(mode="json", exclude_none=True).items():
-        yield f'{name} = "{value}"' if isinstance(value, str) else f"{name} = {value}"
+def _white(white: Whitening, change: Sequence[Real]) -> Real:
+    """Whitened rows of images, then of curves."""
+    count = len(white.used)
+    curves = [part / sigma for part, sigma in zip(change[count:], white.curve_sigma, strict=True)]
+    return np.concatenate([white.rows(change[:count]), *curves])
 
 
 def _separation(rows: Sequence[Rows], prior_sd: Real, usable: Sequence[Refitted]) -> float:
@@ -280,8 +248,9 @@ def _has_size(one: Refitted) -> bool:
 
 
 def _at_size(model: Model, one: Refitted) -> Model:
-    spec, candidate = one.candidate.effect, one.candidate
-    values = off_values(spec, dict(candidate.shape)) | ({} if candidate.is_switch else one.size)
+    """The model with the effect as it was fitted: in the shape that it ended with, to which its size belongs."""
+    spec = one.candidate.effect
+    values = off_values(spec, dict(one.shape)) | ({} if one.candidate.is_switch else one.size)
     return with_effect(model, applied(spec, values))
 
 

@@ -118,10 +118,13 @@ def acting_together(base: Fit, candidate: Candidate) -> list[Candidate]:
     return [candidate, *(one for one, shows in zip(candidate.others, shown, strict=True) if shows)]
 
 
-def whole_of(base: Fit, found: Refitted) -> Real:
-    """The rows of an effect whose parameters act together, at their sizes, less what the fit's own parameters do."""
+def whole_of(base: Fit, found: Refitted, candidate: Candidate) -> Real:
+    """The rows of an effect whose parameters act together, at their sizes, less what the fit's own parameters do.
+
+    `candidate`: in the shape that it was fitted with; what it acts by besides, and was left off, does not count.
+    """
     size = found.size
-    tried = (found.candidate, *found.candidate.others)
+    tried = [one for one in (candidate, *candidate.others) if one.parameter.name in size]
     return np.asarray(sum(one.size(size[one.parameter.name]) * base.basis.left(one.columns)[0] for one in tried))
 
 

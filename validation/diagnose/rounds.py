@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from validation.diagnose.explanation import LEVEL, Explanation
 from validation.diagnose.ground import Ground
 from validation.diagnose.in_words import left_in_words
-from validation.diagnose.next_measurement import Proposal
+from validation.diagnose.proposal import Proposal
 from validation.diagnose.refitted import Refitted
 from validation.diagnose.score import Scores
 from validation.diagnose.verdict import HALF, Verdict, concluded, further_in_words, told_of_rest
@@ -35,6 +35,11 @@ class Step:
     """Effects of further rounds with which the verdict was made: together with its best one they leave nothing."""
 
     @property
+    def tested(self) -> int:
+        """How many effects had columns on these data."""
+        return len(self.scores.effects) + len(self.scores.untestable)
+
+    @property
     def best(self) -> Explanation:
         """The explanation that the verdict names first."""
         return next(one for one in self.explanations if one.name == self.verdict.set[0])
@@ -56,7 +61,7 @@ class Diagnosis:
 
     steps: tuple[Step, ...]
     known: int
-    """Effects that there are."""
+    """Effects that the first round tested; of a fit that may not be trusted, that there are."""
 
     @property
     def verdict(self) -> Verdict:

@@ -26,6 +26,8 @@ class Rows:
     """(parameter, row)"""
     nuisances: Real
     """(nuisance, row)"""
+    nuisance_sd: Real
+    """(nuisance,) of their priors, inf without one."""
     effects: dict[str, Real]
     """(row,), the expected change of the prediction."""
 
@@ -45,9 +47,9 @@ def sigma_left(rows: Sequence[Rows], prior_sd: Real, effect: str, rivals: Sequen
         taken.append(part)
         start += count
     taken += [np.concatenate([one.effects[rival] for one in rows])[None] for rival in rivals]
-    columns = np.concatenate(taken)
     target = np.concatenate([one.effects[effect] for one in rows])
-    return _left(columns, np.concatenate([1.0 / prior_sd, np.zeros(len(columns) - len(prior_sd))]), target)
+    sd = np.concatenate([prior_sd, *(one.nuisance_sd for one in rows), np.full(len(rivals), np.inf)])
+    return _left(np.concatenate(taken), 1.0 / sd, target)
 
 
 def _left(columns: Real, prior_weight: Real, target: Real) -> float:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from luxloop.effect import EffectSpec
+from luxloop.effect import EffectSpec, Value
 from validation.diagnose import held_out as held
 from validation.diagnose.anew import total_chi2
 from validation.diagnose.by_place import chance_by_place
@@ -19,7 +20,7 @@ from validation.diagnose.frozen import slopes_of
 from validation.diagnose.ground import Ground
 from validation.diagnose.refit import acting_together, expected, refit, whole_of
 from validation.diagnose.refitted import Refitted, limits_of, of_members
-from validation.diagnose.score import Candidate, EffectScore, Projected, Score, Scores
+from validation.diagnose.score import Candidate, EffectScore, Score, Scores
 from validation.diagnose.verdict import ALIKE
 from validation.effects.confounding import Confounding, left_beside
 from validation.effects.known import is_smooth
@@ -31,6 +32,8 @@ Progress = Callable[[float, str], None]
 MembersFit = Callable[[Fit, EffectSpec], Fit | None]
 """The fit with an effect whose members are numbers of their own; None where workers cannot have it so."""
 GroundOf = Callable[[Fit], Ground]
+InShape = Callable[[Fit, EffectSpec, dict[str, Value]], list[Candidate]]
+"""The columns of an effect at a fit, in one shape."""
 
 SHORT_LIST = 8
 MOST_ENDED, MOST_LED_OUT = 4, 2
@@ -51,9 +54,9 @@ class Tried:
     """The short list of a round, fitted further and further: `refit` first, then `finish`."""
 
     ground: Ground
-    projected: Projected
+    in_shape: InShape
     columns: dict[str, Real]
-    """Of each effect, those of its best shape."""
+    """Of each effect, those of its best shape; of one that was fitted to its end, of the shape that it has there."""
     short: list[EffectScore]
     refits: list[Refitted] = field(default_factory=list)
     explanations: list[Explanation] = field(default_factory=list)
@@ -81,15 +84,15 @@ class Tried:
             ended.add(likely)
             least = WORTH * self.explanations[likely].drop  # as the others are: where a fit ends it may gain more
             found = finished(self.refits[likely], fit.problem.predictor, fit.problem.predict_curves)
-            self.short[likely] = as_fitted(self.projected, self.short[likely], found)
-            columns = columns_of(self.ground.fit, self.projected, self.short[likely].best.candidate)
-            self.columns[self.short[likely].name] = columns
+            self.short[likely] = as_fitted(self.short[likely], found, partial(self.in_shape, fit))
+            self.columns[self.short[likely].name] = columns_of(fit, self.short[likely].best.candidate)
             self._keep(likely, found)
             for number in self._about_the_first(likely):
                 one = self.explanations[number]
                 if one.plausible and one.drop > least * self._wanted_of(number, likely):
                     progress(0.9, f"fitting {self.short[number].name} beside {self.short[likely].name}")
                     self._keep(number, beside(self.refits[number], found, fit))
+        self._tell_apart()
 
     def look_into_group(self, members_fit: MembersFit, ground_of: GroundOf) -> None:
         """A group that lowers chi2 most by the fit of its members, where by its line it is in doubt.
@@ -110,6 +113,13 @@ class Tried:
         """What else is fitted about the Monte Carlo of the fit without an effect, at its end or not."""
         base, fits = self.ground.fit.problem.anchor, [one.fit for one in self.refits]
         return [n for n, fit in enumerate(fits) if n != likely and fit is not None and fit.problem.anchor == base]
+
+    def _tell_apart(self) -> None:
+        """How far each is from its rivals, once all have the shape that they ended with."""
+        rivals = [one.name for one in self.short]
+        for number, (score, found) in enumerate(zip(self.short, self.refits, strict=True)):
+            length, beside = _sigma(self.ground.fit, score, found, self.columns, rivals)
+            self.explanations[number] = replace(self.explanations[number], sigma=length, sigma_rival=beside)
 
     def _keep(self, number: int, found: Refitted) -> None:
         self.refits[number] = found
@@ -150,10 +160,9 @@ class Tried:
         return self.explanations[number].drop + (0.0 if found is None else found.gap)
 
 
-def columns_of(fit: Fit, projected: Projected, candidate: Candidate) -> Real:
+def columns_of(fit: Fit, candidate: Candidate) -> Real:
     """Those of a candidate, then those of what acts together with it, less what the fit's own parameters do."""
-    _, *others = acting_together(fit, candidate)
-    return np.concatenate([projected.own(candidate), *(fit.basis.left(one.columns) for one in others)])
+    return np.concatenate([fit.basis.left(one.columns) for one in acting_together(fit, candidate)])
 
 
 def short_list(base: Fit, scored: Scores, alike: Confounding) -> list[EffectScore]:
@@ -180,14 +189,15 @@ def promised(base: Fit, score: Score) -> tuple[float, float]:
     return own if score.candidate.is_group or not base.at_limit else max(own, expected(base, score.candidate))
 
 
-def as_fitted(projected: Projected, score: EffectScore, found: Refitted) -> EffectScore:
-    """The score with the column of the words that the effect was fitted with, where those are others."""
-    words = {(name, value) for name, value in found.shape if isinstance(value, str)}
+def as_fitted(
+    score: EffectScore, found: Refitted, in_shape: Callable[[EffectSpec, dict[str, Value]], list[Candidate]]
+) -> EffectScore:
+    """The score with the column of the shape that the effect was fitted with, where that is another."""
     own = score.best.candidate
-    if words <= set(own.shape):
+    shape = {name: value for name, value in found.shape if name in dict(own.shape)}
+    if shape == dict(own.shape):
         return score
-    same = (one for one in projected.candidates if (one.effect, one.parameter) == (own.effect, own.parameter))
-    other = next((one for one in same if words <= set(one.shape)), own)
+    other = next(one for one in in_shape(own.effect, shape) if one.parameter == own.parameter)
     return replace(score, best=replace(score.best, candidate=other, size=other.size(found.value)))
 
 
@@ -197,13 +207,7 @@ def _explanation(
     candidate, base = score.best.candidate, ground.fit
     scale = held_scale(float(found.residual @ found.residual), base.freedom - 1.0)
     drop = total_chi2(base) - found.chi2
-    length, beside = float(np.sqrt(score.best.drop)), {}
-    if not candidate.is_group:
-        size = 1.0 if candidate.is_switch else candidate.size(found.value)
-        own = whole_of(base, found) if found.candidate.others else size * columns[score.name][0]
-        length = float(np.linalg.norm(own))
-        others = [rival for rival in rivals if rival != score.name]
-        beside = {rival: left_beside(own, [columns[rival]]) for rival in others}
+    length, beside = _sigma(base, score, found, columns, rivals)
     change, percents = _held_out(base, found, candidate.effect)
     by_place = _by_place(base, candidate) if candidate.is_group else None
     return Explanation(
@@ -229,6 +233,19 @@ def _explanation(
         sigma_rival=beside,
         numbers=found.numbers,
     )
+
+
+def _sigma(
+    base: Fit, score: EffectScore, found: Refitted, columns: dict[str, Real], rivals: Sequence[str]
+) -> tuple[float, dict[str, float]]:
+    """How long an effect's image is at its size, in standard deviations, and what is left of it beside each rival."""
+    candidate = score.best.candidate
+    if candidate.is_group:
+        return float(np.sqrt(score.best.drop)), {}
+    size = 1.0 if candidate.is_switch else candidate.size(found.value)
+    own = whole_of(base, found, candidate) if found.candidate.others else size * columns[score.name][0]
+    others = [rival for rival in rivals if rival != score.name]
+    return float(np.linalg.norm(own)), {rival: left_beside(own, [columns[rival]]) for rival in others}
 
 
 def _about_one_anchor(base: Fit, found: Refitted) -> bool:

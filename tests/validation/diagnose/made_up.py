@@ -23,13 +23,13 @@ from luxloop.effect import AppliedEffect, EffectParameter, EffectSpec, Value
 from luxloop.model import Model
 from tests.validation.analytic import ARRAY, MODEL, PATHS, SINGLE, Spots, blank
 from validation.diagnose.by_sample import with_own_values
-from validation.diagnose.columns import FitSight, candidates_of
+from validation.diagnose.columns import FitSight, candidates_of, in_shape
 from validation.diagnose.diagnosis import Means, diagnosed
 from validation.diagnose.ground import Ground
-from validation.diagnose.next_measurement import Proposal
+from validation.diagnose.proposal import Proposal
 from validation.diagnose.rounds import Diagnosis
 from validation.diagnose.score import Candidate
-from validation.effects.signatures import Column, signature
+from validation.effects.signatures import Column, Projection, signature
 from validation.fit import Fit, fit
 from validation.measured import MeasuredImage
 from validation.prediction import Anchored, Predicted, View
@@ -205,5 +205,8 @@ def diagnosis(
         sight = FitSight.of(at, predictor)  # type: ignore[arg-type]  # it predicts as a predictor does
         return candidates_of(at, effects, sight)
 
-    means = Means(signatures, signatures, members_fit, ground_of, lambda *_: [ANOTHER])
+    def shaped(at: Fit, effect: EffectSpec, shape: dict[str, Value]) -> list[Candidate]:
+        return list(in_shape(at, effect, shape, FitSight.of(at, predictor), Projection.of(at)))  # type: ignore[arg-type]  # duck
+
+    means = Means(signatures, signatures, shaped, members_fit, ground_of, lambda *_: [ANOTHER])
     return diagnosed(ground_of(base), known, means)

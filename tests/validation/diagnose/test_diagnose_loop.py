@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -16,6 +18,7 @@ from luxloop.model_file import find_model, read_model, to_toml
 from luxloop.settings import Settings
 from tests.running_set import local_set
 from tests.validation.test_loop import luxloop
+from validation import diagnose_command
 from validation.diagnose_command import keep, last_file, rivals_of
 
 PLAN = """
@@ -168,6 +171,28 @@ def test_what_a_diagnosis_told_apart_is_no_rival(tmp_path: Path) -> None:
             continue
         with pytest.raises(InputError, match="it said one_effect"):
             rivals_of(str(file))
+
+
+@pytest.mark.parametrize(
+    ("images", "field"), [((), "[data]"), ((1,), "EFFECT")], ids=["films alone", "films beside images"]
+)
+def test_no_image_is_looked_for_that_would_tell_films_apart(
+    monkeypatch: pytest.MonkeyPatch, images: tuple[int, ...], field: str
+) -> None:
+    """Before anything is fitted, with what would tell them apart."""
+
+    @contextmanager
+    def pretended(*_: Any, **__: Any) -> Iterator[Any]:
+        yield SimpleNamespace(observed=SimpleNamespace(images=images), spec=acting_on), None, None
+
+    def acting_on(name: str) -> Any:
+        return SimpleNamespace(name=name, acts_on=("films",) if name.startswith("film") else ("modules",))
+
+    monkeypatch.setattr(diagnose_command, "diagnosing", pretended)
+    with pytest.raises(InputError, match="measure the films' thickness or index") as refused:
+        diagnose_command.next_(["vignetting", "film_interlayer", "film_missing_layer"])
+    assert refused.value.field == field
+    assert refused.value.value == {"[data]": "no images", "EFFECT": "film_interlayer, film_missing_layer"}[field]
 
 
 @pytest.mark.parametrize(

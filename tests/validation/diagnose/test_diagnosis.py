@@ -32,7 +32,7 @@ from tests.validation.diagnose.made_up import (
     spec,
 )
 from validation import told_diagnosis
-from validation.diagnose.columns import FitSight, candidates_of
+from validation.diagnose.columns import FitSight, candidates_of, in_shape
 from validation.diagnose.diagnosis import beyond_limits
 from validation.diagnose.document import document, effect_document
 from validation.diagnose.ending import finished
@@ -42,11 +42,13 @@ from validation.diagnose.frozen import slopes_of
 from validation.diagnose.groups import joined
 from validation.diagnose.in_words import limits
 from validation.diagnose.ladder import Rung
+from validation.diagnose.proposal import NO_FILM
 from validation.diagnose.refit import posed, refit
 from validation.diagnose.refitted import with_fit
 from validation.diagnose.rounds import Diagnosis, Step, is_the_rest, trusted
 from validation.diagnose.score import Projected, scores
 from validation.diagnose.verdict import decided
+from validation.effects.signatures import Projection
 from validation.fit import NOT_CONVERGED, Fit, fit, refitted
 from validation.fit.parameters import free_paths
 from validation.redeciding import diagnosis as redecided
@@ -89,8 +91,9 @@ def test_one_effect_is_named_with_its_size() -> None:
     scored, base = found.steps[0].scores.of("stripes"), found.steps[0].ground.fit
     assert scored is not None
     assert scored.best.size != best.value
-    column = np.linalg.norm(base.basis.left(scored.best.candidate.columns))  # sigma is of the fitted size
-    assert best.sigma == pytest.approx(abs(best.value) * column, rel=1e-9)
+    sight, taken = FitSight.of(base, Affected()), Projection.of(base)  # type: ignore[arg-type]  # it predicts, too
+    (one,) = in_shape(base, CATALOGUE[3], dict(best.shape), sight, taken)  # sigma is of the fitted size and length
+    assert best.sigma == pytest.approx(abs(best.value) * np.linalg.norm(base.basis.left(one.columns)), rel=1e-9)
 
 
 @pytest.mark.parametrize(("a", "b"), [(0.08, 0.06), (-0.06, 0.08), (0.08, 0.0)])
@@ -363,6 +366,14 @@ def test_two_that_are_alike_are_not_told_apart() -> None:
     assert found.verdict.sentence.startswith("The data cannot tell apart ripple")
     assert found.verdict.sentence.endswith("Take one image: another: expected separation 9 sigma (now 2.0).")
     assert found.proposals == (ANOTHER,)
+
+
+def test_effects_of_films_that_are_alike_are_told_apart_by_no_image() -> None:
+    """Though there are images beside the spectra: the film is to be measured in another way."""
+    known = [one.model_copy(update={"acts_on": ("films",)}) for one in CATALOGUE[:2]]
+    found = diagnosis(data("ripple", 4, 0.012), known=known)
+    assert found.verdict.word == "cannot_tell_apart"
+    assert found.verdict.sentence.endswith(f"To separate them, {NO_FILM}.")
 
 
 def test_what_nobody_knows_is_not_blamed_on_anybody() -> None:

@@ -11,21 +11,24 @@ from typing import Any, Literal
 import numpy as np
 import pytest
 
-from luxloop.effect import AppliedEffect
+from luxloop.effect import AppliedEffect, EffectParameter, EffectSpec, Value
 from luxloop.errors import RemoteError
 from luxloop.failure import Failure
 from luxloop.model import Model
 from tests.validation.analytic import ARRAY, MODEL, PATHS, blank
 from tests.validation.analytic import SINGLE as SINGLE_CHIP
-from tests.validation.diagnose.made_up import THIRD, Affected, data, spec
+from tests.validation.diagnose.made_up import CHIPS, LENGTH, THIRD, Affected, data, members_fit, spec
 from tests.validation.effects.test_signatures import AMPLITUDE, BASE, ONE, SIDE, SINGLE, Pretended, sight_of, spec_of
 from validation.dataset.manifest import Sample
-from validation.diagnose.next_measurement import Proposal, Rivals, left_out_of, next_in_words
+from validation.diagnose.columns import FitSight, candidates_of
+from validation.diagnose.next_measurement import Rivals, image_can_tell, left_out_of
+from validation.diagnose.proposal import Proposal, next_in_words
 from validation.diagnose.refitted import Refitted
-from validation.diagnose.score import Candidate
-from validation.fit import fit
+from validation.diagnose.score import Candidate, Projected
+from validation.effects.confounding import left_beside
+from validation.fit import CurveData, fit
 from validation.measured import MeasuredImage
-from validation.prediction import Anchored, View
+from validation.prediction import Anchored, Predicted, PredictedCurve, View
 
 
 @pytest.mark.parametrize("walks", [False, True])
@@ -44,6 +47,27 @@ def test_the_noise_of_another_walk_is_no_change_that_an_effect_makes(walks: bool
     one: Refitted = found
     (change,) = rivals._change(sight_of(predictor, SINGLE), one)
     np.testing.assert_allclose(change, 0.4 * ONE, rtol=1e-5)
+
+
+def test_an_effect_is_predicted_in_the_shape_that_it_was_fitted_with() -> None:
+    """Tried at 300 um and as lines along y, fitted at 340 um and along x: a size is of the shape it belongs to."""
+    along = EffectParameter(name="along", description="which way", choices=("x", "y"))
+    shapes: list[tuple[EffectSpec, dict[str, Value], dict[str, Value]]] = [
+        (spec("stripes", LENGTH), {"length_um": 300.0}, {"length_um": 340.0}),
+        (spec("lines", along), {"along": "y"}, {"along": "x"}),
+    ]
+    for effect, tried, ended in shapes:
+        there = MODEL.model_copy(
+            update={"effects": (AppliedEffect(name=effect.name, parameters={"size": 0.05, **ended}),)}
+        )
+        rivals = rivals_about(Affected())
+        candidate = Candidate(effect, effect.parameters[0], tuple(tried.items()), np.zeros((1, 1)))
+        one = replace(rivals.refits[0], candidate=candidate, model=there)
+        sight = FitSight.of(rivals.fit, rivals.predictor)
+        fitted = rivals.fit.model.model_copy(update={"effects": there.effects})
+        parts = zip(rivals._change(sight, one), sight.parts(fitted), sight.parts(rivals.fit.model), strict=True)
+        for change, more, less in parts:
+            np.testing.assert_allclose(change, more - less, atol=1e-9)
 
 
 def test_what_is_expected_of_an_image_counts_the_noise_of_monte_carlo() -> None:
@@ -160,6 +184,67 @@ def test_rivals_without_a_size_of_their_own_are_said_to_be_left_out() -> None:
     one = Proposal("array, D = 0.10 mm", SINGLE_CHIP, 1.0, 12.0, 1.3)
     told = next_in_words([one], ["chips", "places"])
     assert told.endswith("That is of the others: chips, places have numbers of their own for each chip.")
+
+
+@pytest.mark.parametrize("films", [1, 2])
+def test_an_image_is_not_proposed_where_no_two_rivals_show_in_one(films: int) -> None:
+    """Effects of films change no pixel: after a sweep of candidates 0 sigma were expected of the best image."""
+    asked = rivals_about(Affected())
+    found = [
+        replace(one, candidate=replace(one.candidate, effect=effect))
+        for one in asked.refits
+        for effect in [one.candidate.effect.model_copy(update={"acts_on": ("films",)})]
+    ]
+    refits = [*asked.refits[films:], *found[:films]]
+    assert replace(asked, refits=refits).proposals() == []
+    images = asked.fit.problem.images
+    assert not image_can_tell(images, [one.candidate.effect for one in refits])
+    assert image_can_tell(images, [one.candidate.effect for one in asked.refits])
+    assert not image_can_tell((), [one.candidate.effect for one in asked.refits])
+
+
+class Brighter(Affected):
+    """An effect besides that lights one of the samples more."""
+
+    def images(self, model: Model, views: Sequence[View], *more: Any) -> list[Predicted]:
+        """As `Affected`."""
+        others = tuple(one for one in model.effects if one.name != "bright")
+        found = super().images(model.model_copy(update={"effects": others}), views, *more)
+        shine = [1.0 + brightness(model) * (view.sample.id == THIRD.id) for view in views]
+        return [
+            replace(one, irradiance_per_mm2=by * one.irradiance_per_mm2) for one, by in zip(found, shine, strict=True)
+        ]
+
+
+def brightness(model: Model) -> float:
+    """Of the effect in a model."""
+    return sum(float(one.parameters["size"]) for one in model.effects if one.name == "bright")  # type: ignore[arg-type]  # a number
+
+
+def scanned(model: Model, curves: Sequence[CurveData], paths: Sequence[str], _: Any) -> list[PredictedCurve]:
+    """Curves that the same effect bends, and nothing else does."""
+    x = np.linspace(0.0, 6.0, 40)
+    return [PredictedCurve(1.0 + brightness(model) * np.cos(x), dict.fromkeys(paths, 0.0 * x)) for _ in curves]
+
+
+@pytest.mark.parametrize("kind", ["one gain", "members", "curves"])
+def test_what_is_told_of_now_is_what_the_verdict_says(kind: str) -> None:
+    """By all rows, under the priors of all that is fitted: gains that follow the exposure, chips of one spread."""
+    known, predictor = [spec("bright"), spec("ripple")], Brighter()
+    images = data("ripple", 1, 0.05)
+    if kind != "curves":
+        camera = images[0].camera.model_copy(update={"gain_mode": "exposure"})
+        images = [replace(one, camera=camera) for one in images]
+    curves = [CurveData("scan", np.ones(40), np.full(40, 0.01), free_scale=True)] if kind == "curves" else []
+    base = fit(MODEL, images, predictor, free=PATHS, curves=curves, predict_curves=scanned)
+    base = members_fit(base, CHIPS) if kind == "members" else base
+    projected = Projected.of(candidates_of(base, known, FitSight.of(base, predictor)), base.basis)  # type: ignore[arg-type]  # it predicts, too
+    own, rival = (projected.own(one) for one in projected.candidates)
+    refits = [Refitted(one, 0.1, 0.01, base.residual, 0.0, False, MODEL, base) for one in projected.candidates]
+    told = Rivals(base, refits, predictor, frozenset()).proposals()  # type: ignore[arg-type]  # it predicts, too
+    assert told[0].now_sigma == pytest.approx(left_beside(0.1 * own[0], [rival]), rel=0.03)
+    assert told[0].now_sigma > 3.0
+    assert all(one.expected_sigma > 0.999 * one.now_sigma for one in told)
 
 
 def patterns(sample: Sample) -> Any:

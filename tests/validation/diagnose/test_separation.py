@@ -10,10 +10,11 @@ from validation.diagnose.separation import Rows, sigma_left
 NONE = np.zeros((0, 1))
 
 
-def rows(model: float, effect: float, rival: float = 0.0, nuisance: float | None = None) -> Rows:
-    """A single row, on which each has one number."""
+def rows(model: float, effect: float, rival: float = 0.0, nuisance: float | None = None, sd: float = np.inf) -> Rows:
+    """A single row, on which each has one number; `sd` of the nuisance's prior."""
     nuisances = NONE if nuisance is None else np.array([[nuisance]])
-    return Rows(np.array([[model]]), nuisances, {"one": np.array([effect]), "other": np.array([rival])})
+    effects = {"one": np.array([effect]), "other": np.array([rival])}
+    return Rows(np.array([[model]]), nuisances, np.full(len(nuisances), sd), effects)
 
 
 @pytest.mark.parametrize("prior_sd", [1e-9, 0.1, 0.5, 20.0, np.inf])
@@ -37,6 +38,14 @@ def test_a_nuisance_takes_all_of_its_own_image_and_nothing_of_another() -> None:
     e, g, s = 6.0, 2.0, 0.5
     left = sigma_left([rows(g, e, nuisance=3.0), rows(g, e)], np.array([s]), "one")
     assert left == pytest.approx(e / np.sqrt(1.0 + (g * s) ** 2), rel=1e-6)
+
+
+@pytest.mark.parametrize("sd", [0.0, 0.01, 0.5])
+def test_a_nuisance_under_a_prior_takes_less(sd: float) -> None:
+    """Two images of which one is brighter by e: their gains, known to s each, take all but e / sqrt(1 + (g s)^2)."""
+    e, g = 10.0, 100.0
+    two = [rows(0.0, e, nuisance=g, sd=max(sd, 1e-9)), rows(0.0, 0.0, nuisance=g, sd=max(sd, 1e-9))]
+    assert sigma_left(two, np.array([1.0]), "one") == pytest.approx(e / np.sqrt(1.0 + (g * sd) ** 2), abs=1e-6)
 
 
 def test_a_rival_takes_its_projection_at_any_size() -> None:

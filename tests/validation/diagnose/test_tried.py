@@ -9,11 +9,16 @@ from typing import Any
 import numpy as np
 import pytest
 
+from luxloop.effect import EffectParameter
 from tests.validation.analytic import MODEL, SIGMA
-from tests.validation.diagnose.made_up import diagnosis, images_of
+from tests.validation.diagnose.made_up import LENGTH, RISE, Affected, data, diagnosis, images_of, spec
 from validation.diagnose import tried
+from validation.diagnose.columns import FitSight, candidates_of, in_shape
 from validation.diagnose.diagnosis import blurred
+from validation.diagnose.refit import whole_of
 from validation.diagnose.tried import Tried
+from validation.effects.confounding import left_beside
+from validation.effects.signatures import Projection
 from validation.fit import Fit
 
 FIRST, OWN, RIVALS = "the base's anchor", "an anchor of its own", "the rival's anchor"
@@ -30,11 +35,16 @@ def one(name: str, drop: float, anchor: str, gap: float = 0.0, left: float = 20.
     )
 
 
+def never(*_: Any) -> Any:
+    """What nobody asks for."""
+    raise AssertionError
+
+
 def tried_with(monkeypatch: pytest.MonkeyPatch, finished: Any, beside: Any, refits: list[Any]) -> Tried:
     """The short list of a truth and its rival, whose ends these functions make up."""
     monkeypatch.setattr(tried, "finished", finished)
     monkeypatch.setattr(tried, "beside", beside)
-    monkeypatch.setattr(tried, "as_fitted", lambda _, score, __: score)
+    monkeypatch.setattr(tried, "as_fitted", lambda score, *_: score)
     monkeypatch.setattr(tried, "columns_of", lambda *_: None)
     monkeypatch.setattr(tried, "is_smooth", lambda _: True)
     monkeypatch.setattr(tried, "_explanation", lambda _, __, found, *___: found)
@@ -44,13 +54,8 @@ def tried_with(monkeypatch: pytest.MonkeyPatch, finished: Any, beside: Any, refi
     short: list[Any] = [
         SimpleNamespace(name=name, best=SimpleNamespace(candidate=None)) for name in ("truth", "rival")
     ]
-    projected: Any = SimpleNamespace(own=lambda _: None)
-    return Tried(ground, projected, {}, short, refits, list[Any](refits))
-
-
-def never(*_: Any) -> Any:
-    """There is no group."""
-    raise AssertionError
+    monkeypatch.setattr(Tried, "_tell_apart", lambda _: None)
+    return Tried(ground, never, {}, short, refits, list[Any](refits))
 
 
 @pytest.mark.parametrize(
@@ -134,3 +139,49 @@ def test_columns_of_monte_carlo_that_noise_may_have_blurred_are_looked_at_closel
 
     scored: Any = SimpleNamespace(effects=(score("chip", 33.0, True), score("walls", drop, twin)))
     assert blurred(scored) == names
+
+
+def test_sigma_is_of_the_shape_that_each_was_fitted_with() -> None:
+    """Stripes of 308 um, tried at 325: their size belongs to the column of the length at which they were fitted."""
+    along = EffectParameter(name="along", description="which way", choices=("y", "x"))
+    stripes = spec("stripes", LENGTH.model_copy(update={"shape_grid": (325.0,)}))
+    first = diagnosis(data("stripes", 2, 0.05, 308.0), known=(spec("lines", along), stripes)).steps[0]
+    base, predictor = first.ground.fit, Affected()
+    told = {one.name: one for one in first.explanations}
+    assert dict(told["stripes"].shape)["length_um"] == pytest.approx(308.0, rel=0.01)
+    rows = {}
+    for one in first.refits:
+        sight, effect = FitSight.of(base, predictor), one.candidate.effect  # type: ignore[arg-type]  # it predicts, too
+        (seen,) = in_shape(base, effect, dict(told[effect.name].shape), sight, Projection.of(base))
+        rows[effect.name] = told[effect.name].value * base.basis.left(seen.columns)
+    for name, rival in (("lines", "stripes"), ("stripes", "lines")):
+        assert told[name].sigma == pytest.approx(np.linalg.norm(rows[name]), rel=1e-6)
+        assert told[name].sigma_rival[rival] == pytest.approx(left_beside(rows[name][0], [rows[rival]]), rel=1e-6)
+    assert told["stripes"].sigma == pytest.approx(np.sqrt(told["stripes"].drop), rel=0.05)
+
+
+def test_what_is_left_beside_a_rival_is_by_the_columns_that_it_ended_with(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A rival that ended after the first one, in other words: what was left of the first beside it is told anew."""
+    first = diagnosis(data("ripple", 4, 0.012)).steps[0]
+    base, short = first.ground.fit, [score for score in first.scores.effects if score.best.drop > 0.0]
+    columns = {one.name: tried.columns_of(base, one.best.candidate) for one in short}
+    columns["ripple_like"] = base.basis.left(np.random.default_rng(1).standard_normal((1, len(base.residual))))
+    order = [one.candidate.effect.name for one in first.refits]
+    short = sorted(short, key=lambda one: order.index(one.name))
+    list_of = Tried(first.ground, never, columns, short, list(first.refits), list(first.explanations))
+    monkeypatch.setattr(Tried, "_likeliest", lambda *_: None)
+    list_of.finish(lambda *_: None)
+    (told,) = (one for one in list_of.explanations if one.name == "ripple")
+    wanted = left_beside(told.value * columns["ripple"][0], [columns["ripple_like"]])
+    assert told.sigma_rival["ripple_like"] == pytest.approx(wanted, rel=1e-9)
+
+
+def test_numbers_that_act_together_are_taken_in_the_shape_that_they_were_fitted_with() -> None:
+    """By the columns of a candidate of that shape, at their sizes; one that was left off does not count."""
+    base = diagnosis(data(None, 1)).steps[0].ground.fit
+    candidates = candidates_of(base, [RISE], FitSight.of(base, Affected()))  # type: ignore[arg-type]  # it predicts, too
+    other = replace(candidates[0], columns=2.0 * candidates[0].columns)
+    left = [base.basis.left(one.columns)[0] for one in (other, candidates[1])]
+    for size, wanted in (({"a": 0.1, "b": 0.2}, 0.1 * left[0] + 0.2 * left[1]), ({"a": 0.1}, 0.1 * left[0])):
+        found: Any = SimpleNamespace(candidate=candidates[0], size=size)
+        np.testing.assert_allclose(whole_of(base, found, other), wanted, atol=1e-12)
