@@ -35,8 +35,8 @@ def page(specs: tuple[EffectSpec, ...], facts: Mapping[str, Document], maps: Seq
         " nonlinearity and saturation last)."
         " Each is a file of [containers/effects](../containers/effects), acts on what its stage may change and on"
         " nothing else, and at its off value, where it has one, gives back the very same model. How well most"
-        " are predicted stands in [figures](figures.md#effects); `luxloop effects new NAME --stage STAGE` writes one of"
-        " your own."
+        " are predicted stands in [figures](figures.md#effects); `luxloop effects new NAME --stage STAGE` writes one"
+        " of your own."
     )
     yield (
         "Pictures: what the effect does to a 5 x 5 array (D 180, W 40, S 500, T 20 um, 2.5 pairs, model `paper`) or"
