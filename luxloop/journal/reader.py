@@ -15,19 +15,16 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar
 
-import numpy as np
 from mcap.data_stream import ReadDataStream
 from mcap.records import Attachment, Chunk, Message, Metadata
-from mcap.stream_reader import breakup_chunk
 from mcap.summary import Summary
-from numpy.typing import NDArray
 
 from luxloop.campaign import Step
 from luxloop.errors import InputError, LuxloopError
 from luxloop.journal.chain import Mark
-from luxloop.journal.scan import BROKEN, Scan, record_of, refuse_foreign, summary_of
+from luxloop.journal.scan import BROKEN, Scan, parts_of, record_of, refuse_foreign, summary_of
 from luxloop.journal.segment import FORMAT, PATTERN, being_written
-from luxloop.journal.topics import CHAIN, TOPICS, Close, LearnerRecord, Record
+from luxloop.journal.topics import CHAIN, TOPICS, Close, Record
 from luxloop.words import Words, parse
 
 W = TypeVar("W", bound=Words)
@@ -112,7 +109,7 @@ class SegmentReader:
                     continue
                 file.seek(place.chunk_start_offset + RECORD_HEAD_BYTES)
                 try:
-                    parts = breakup_chunk(Chunk.read(ReadDataStream(file)), validate_crc=True)
+                    parts = [*parts_of(Chunk.read(ReadDataStream(file)))]
                 except BROKEN as error:
                     raise self._damaged(error) from error
                 found = (part for part in parts if isinstance(part, Message) and part.channel_id in wanted)
@@ -173,14 +170,6 @@ class RunJournal:
     def steps(self) -> Iterator[Step]:
         """All steps of the run."""
         return (entry.value for entry in self.records("/step"))
-
-    def learner(self) -> Iterator[LearnerRecord]:
-        """What the learner was like, action by action."""
-        return (entry.value for entry in self.records("/agent"))
-
-    def maps(self) -> Iterator[tuple[int, NDArray[np.float32]]]:
-        """Sequence of its step, and map (y, x) in lx, row 0 at the lowest y."""
-        return ((entry.sequence, entry.value) for entry in self.records("/map/sim"))
 
     @property
     def close(self) -> Close | None:

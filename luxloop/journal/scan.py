@@ -13,15 +13,17 @@ import zlib
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 from typing import IO, cast
 
 import zstandard
+from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile, McapError
 from mcap.opcode import Opcode
 from mcap.reader import SeekingReader
 from mcap.records import Attachment, Channel, Chunk, DataEnd, Header, McapRecord, Message, Metadata
-from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.stream_reader import StreamReader
 from mcap.summary import Summary
 from mcap.writer import MCAP0_MAGIC
 
@@ -33,6 +35,8 @@ from luxloop.journal.topics import CHAIN, Checkpoint, Record
 BROKEN = (McapError, ValueError, KeyError, OverflowError, MemoryError, struct.error, zstandard.ZstdError)
 """What reading bytes that are not as they were written may raise."""
 RECORD_LIMIT_BYTES = 256 << 20
+UNPACKED_LIMIT_BYTES = 64 << 20
+"""Of a chunk: ours hold 1 MB, or one record that came in a frame of 16 MB."""
 FOOTER = struct.Struct("<BQQQI8s")
 
 
@@ -100,7 +104,7 @@ class Scan:
             case Attachment():
                 self._pending.append(attachment_link(item.name, item.log_time, item.data))
             case Chunk():
-                for part in breakup_chunk(item, validate_crc=True):
+                for part in parts_of(item):
                     yield from self._take(part)
             case Channel():
                 self._channels[item.id] = item.topic
@@ -138,6 +142,28 @@ class Scan:
             self.fault = "its index does not match its checksum"
         else:
             self.finished = True
+
+
+def parts_of(chunk: Chunk) -> Iterator[Channel | Message]:
+    """Channels and messages of a chunk. Raises one of BROKEN where it is damaged, or none that our writer makes."""
+    data, size_bytes, packed = chunk.data, chunk.uncompressed_size, chunk.compression
+    if packed not in ("zstd", "") or size_bytes > UNPACKED_LIMIT_BYTES:
+        raise ValueError(f"a chunk of {size_bytes:,} bytes with compression {packed!r}: no journal has such")
+    if packed:
+        data = zstandard.ZstdDecompressor().stream_reader(data).read(size_bytes + 1)
+    if len(data) != size_bytes or zlib.crc32(data) != chunk.uncompressed_crc:
+        raise ValueError("a chunk has not the size and the crc that it states")
+    stream = ReadDataStream(BytesIO(data))
+    while stream.count < size_bytes:
+        opcode, length = stream.read1(), stream.read8()
+        if opcode == Opcode.MESSAGE:
+            yield Message.read(stream, length)
+        elif opcode == Opcode.CHANNEL:
+            yield Channel.read(stream)
+        elif opcode == Opcode.SCHEMA:
+            stream.read(length)
+        else:
+            raise ValueError(f"a chunk holds a record of kind {opcode}: no journal has such")
 
 
 def record_of(message: Message, topics: dict[int, str]) -> Record:

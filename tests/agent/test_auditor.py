@@ -226,7 +226,7 @@ def test_a_changed_learner_is_named(tmp_path: Path, values: dict[str, Any], what
 def test_elsewhere_the_last_bits_of_a_learner_say_nothing(tmp_path: Path) -> None:
     """Other packages: another hash is not comparable, a loss within a thousandth is within tolerance."""
     recorded(tmp_path / "r", "ddqn-fast", stop={"evaluations": 60})
-    last = max(RunJournal(tmp_path / "r").learner(), key=lambda one: one.number)
+    last = max((entry.value for entry in RunJournal(tmp_path / "r").records("/agent")), key=lambda one: one.number)
     assert last.loss is not None
     values = {"weights_sha256": "0" * 64, "loss": last.loss * 1.0001}
     said = compared(Changed(tmp_path / "r", last.number, **values), same_machine=False)

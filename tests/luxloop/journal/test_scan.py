@@ -2,10 +2,21 @@
 
 from __future__ import annotations
 
+import io
+import struct
+import zlib
 from pathlib import Path
 
+import pytest
+import zstandard
+from mcap.data_stream import RecordBuilder
+from mcap.records import Chunk
+from mcap.writer import Writer
+
+from luxloop.errors import LuxloopError
 from luxloop.journal.reader import RECORD_HEAD_BYTES, SegmentReader, segments_of
-from luxloop.journal.scan import FOOTER, Scan
+from luxloop.journal.scan import FOOTER, UNPACKED_LIMIT_BYTES, Scan
+from luxloop.journal.segment import PROFILE
 from tests.journals import write_run
 
 DATA_END_BYTES = RECORD_HEAD_BYTES + 4  # ends in the checksum over all before it; the index follows
@@ -43,3 +54,51 @@ def test_a_chunk_that_does_not_match_its_checksum_ends_a_torn_segment(tmp_path: 
     assert len(list(scan)) == 2  # the opening and a step
     assert (scan.finished, scan.torn) == (False, False)
     assert "crc" in scan.fault.lower()
+
+
+def with_chunk(path: Path, compression: str, packed: bytes, plain: bytes, size_bytes: int) -> Path:
+    """A segment of one chunk, as somebody made it with a right checksum."""
+    file, built = io.BytesIO(), RecordBuilder()
+    Writer(file).start(PROFILE, "x")
+    Chunk(compression, packed, 0, 0, zlib.crc32(plain), size_bytes).write(built)
+    path.write_bytes(file.getvalue() + built.end())  # type: ignore[no-untyped-call]  # mcap leaves its return type open
+    return path
+
+
+LARGER = bytes(UNPACKED_LIMIT_BYTES + 1)
+OTHER = struct.pack("<BQ", 0, 0) * 1000
+
+
+@pytest.mark.parametrize(
+    ("compression", "packed", "plain", "size_bytes", "fault"),
+    [
+        ("zstd", zstandard.compress(LARGER), LARGER, len(LARGER), "no journal has such"),
+        ("zstd", zstandard.compress(LARGER), b"", 0, "has not the size"),
+        ("zstd", zstandard.compress(b"short"), b"short", 6, "has not the size"),
+        ("zstd", zstandard.compress(OTHER), OTHER, len(OTHER), "a record of kind 0"),
+        ("", OTHER, OTHER, len(OTHER), "a record of kind 0"),
+        ("lz4", b"garbage", b"", 0, "compression 'lz4'"),
+    ],
+    ids=["much", "much, as nothing", "less than stated", "other records", "other records, plain", "lz4"],
+)
+def test_a_chunk_that_no_writer_of_ours_makes_is_a_fault(
+    tmp_path: Path, compression: str, packed: bytes, plain: bytes, size_bytes: int, fault: str
+) -> None:
+    """A few kB that unpack to very much, another compression, other records: said before memory or time is lost."""
+    scan = Scan(with_chunk(tmp_path / "audit-0001.mcap", compression, packed, plain, size_bytes))
+    assert list(scan) == []
+    assert (scan.finished, scan.torn) == (False, False)
+    assert fault in scan.fault
+
+
+def test_readers_by_the_index_refuse_such_a_chunk_too(tmp_path: Path) -> None:
+    """The third chunk says of itself that it is compressed otherwise."""
+    path, raw, _ = a_segment(tmp_path)
+    summary = SegmentReader(path).index
+    assert summary is not None
+    name = summary.chunk_indexes[2].chunk_start_offset + CHUNK_CHECKSUM + 4 + 4  # after checksum and length
+    assert raw[name : name + 4] == b"zstd"
+    raw[name : name + 4] = b"lz4\0"
+    path.write_bytes(raw)
+    with pytest.raises(LuxloopError, match="damaged"):
+        list(SegmentReader(path).records())
