@@ -23,6 +23,7 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 
 from env_controller.audit.checks import exit_code, verify
+from env_controller.notes import note_records
 from luxloop.campaign import AgentRecord, Note, Step
 from luxloop.design import Design
 from luxloop.journal.image import descriptor_set
@@ -33,7 +34,6 @@ from luxloop.journal.topics import (
     TOPICS,
     Record,
     map_record,
-    note_records,
     reply_record,
     request_record,
     step_record,

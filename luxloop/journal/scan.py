@@ -37,7 +37,9 @@ BROKEN = (McapError, ValueError, KeyError, OverflowError, MemoryError, struct.er
 RECORD_LIMIT_BYTES = 256 << 20
 UNPACKED_LIMIT_BYTES = 64 << 20
 """Of a chunk: ours hold 1 MB, or one record that came in a frame of 16 MB."""
-FOOTER = struct.Struct("<BQQQI8s")
+HEAD, FOOTER = struct.Struct("<BQ"), struct.Struct("<BQQQI8s")
+Places = dict[type[McapRecord], list[tuple[int, set[int]]]]
+"""Where the records of each kind lie, and the channels of a chunk."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +71,8 @@ class Scan:
         self.finished, self.torn, self.fault = False, False, ""
         self.before, self.final = Mark(), Mark()
         self.read_bytes = self.left_bytes = 0
-        self._channels: dict[int, str] = {}
+        self._topics: dict[int, str] = {}
+        self._places: Places = {Chunk: [], Metadata: [], Attachment: []}
         self._pending: list[Link] = []
         self._mark: Mark | None = None
 
@@ -80,10 +83,18 @@ class Scan:
             bounded = _Bounded(file, self._more)
             try:
                 stream = StreamReader(cast(IO[bytes], bounded), False, True, True, RECORD_LIMIT_BYTES)
+                place = len(MCAP0_MAGIC)
                 for item in stream.records:
-                    yield from self._take(item)
+                    length = HEAD.unpack(os.pread(file.fileno(), HEAD.size, place))[1]
+                    if place + HEAD.size + length != bounded.tell():
+                        raise ValueError("a record of unknown kind, or of another length than it states")
+                    channels: set[int] = set()
+                    if type(item) in self._places:
+                        self._places[type(item)].append((place, channels))
+                    yield from self._take(item, channels)
+                    place = bounded.tell()
                     if not self._pending:
-                        self.read_bytes = bounded.tell()
+                        self.read_bytes = place
             except (EndOfFile, struct.error):
                 self.torn = not bounded.was_closed()
                 self.fault = "" if self.torn else "it was finished, and breaks off in the middle"
@@ -93,7 +104,7 @@ class Scan:
                 self._end(file)
             self.left_bytes = bounded.size_bytes - self.read_bytes
 
-    def _take(self, item: McapRecord) -> Iterator[Commit]:
+    def _take(self, item: McapRecord, channels: set[int]) -> Iterator[Commit]:
         match item:
             case Metadata(name="chain"):
                 self.final = _mark(item.metadata["records"], item.metadata["root"])
@@ -105,15 +116,15 @@ class Scan:
                 self._pending.append(attachment_link(item.name, item.log_time, item.data))
             case Chunk():
                 for part in parts_of(item):
-                    yield from self._take(part)
-            case Channel():
-                self._channels[item.id] = item.topic
+                    if isinstance(part, Channel):
+                        self._topics.setdefault(part.id, part.topic)
+                    else:
+                        channels.add(part.channel_id)
+                        yield from self._message(part)
             case Message():
-                yield from self._message(item)
+                raise ValueError("a record outside a chunk, where no reader looks")
             case DataEnd(data_section_crc=0):
                 raise ValueError("the checksum over the data is missing")
-            case _:
-                pass
 
     def _start(self, before: Mark) -> None:
         """An opening: the file's first, or of a later start, which must go on where the one before ended."""
@@ -123,7 +134,7 @@ class Scan:
             raise ValueError(f"a start after {before.records} records, where {self._mark.records} were committed")
 
     def _message(self, message: Message) -> Iterator[Commit]:
-        entry = record_of(message, self._channels)
+        entry = record_of(message, self._topics)
         if entry.topic != CHAIN:
             self._pending.append(entry)
             return
@@ -138,10 +149,22 @@ class Scan:
         """The file was read to its end: what must be true of a finished one."""
         if self.final == Mark() or self._pending:
             self.fault = "it ends without the root of its chain"
-        elif summary_of(file) is None:
+        elif (index := summary_of(file)) is None:
             self.fault = "its index does not match its checksum"
+        elif not self._is_index(index):
+            self.fault = "its index says other than its data"
         else:
             self.finished = True
+
+    def _is_index(self, index: Summary) -> bool:
+        """Whether those who read by this index see what was read here."""
+        topics = {number: channel.topic for number, channel in index.channels.items()}
+        found: Places = {
+            Chunk: [(one.chunk_start_offset, {*one.message_index_offsets}) for one in index.chunk_indexes],
+            Metadata: [(one.offset, set()) for one in index.metadata_indexes],
+            Attachment: [(one.offset, set()) for one in index.attachment_indexes],
+        }
+        return topics == self._topics and found == self._places
 
 
 def parts_of(chunk: Chunk) -> Iterator[Channel | Message]:

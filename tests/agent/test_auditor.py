@@ -17,6 +17,7 @@ from agent.config import Campaign, Stop
 from agent.designers import designer
 from agent.moves import Space
 from agent.progress import WalkEnd
+from env_controller.notes import note_records
 from luxloop.audit import Compared
 from luxloop.campaign import Action, AgentRecord, Begin, Note, Plan, Step
 from luxloop.design import Bounds, Design
@@ -25,7 +26,7 @@ from luxloop.journal.chain import Mark
 from luxloop.journal.journal import Journal
 from luxloop.journal.reader import RunJournal
 from luxloop.journal.segment import Segment
-from luxloop.journal.topics import Close, NoteRecord, Record, log_record, note_records, opening, record, step_record
+from luxloop.journal.topics import Close, NoteRecord, Record, log_record, opening, record, step_record
 from luxloop.model import Model
 from luxloop.words import canonical
 from tests.journals import START_NS
