@@ -56,7 +56,7 @@ class SegmentReader:
         kinds: dict[str, dict[str, bytes]] = {"metadata": {}, "attachment": {}}
         for link in first.links if first else ():
             kind, _, name = link.topic.partition("/")
-            kinds[kind][name] = link.data
+            kinds.setdefault(kind, {})[name] = link.data
         return {name: json.loads(data) for name, data in kinds["metadata"].items()}, kinds["attachment"]
 
     def _indexed_opening(self, index: Summary) -> tuple[dict[str, dict[str, str]], dict[str, bytes]]:
@@ -69,7 +69,7 @@ class SegmentReader:
             try:
                 metadata = [read(Metadata, place.offset) for place in index.metadata_indexes]
                 attached = [read(Attachment, place.offset) for place in index.attachment_indexes]
-            except BROKEN as error:
+            except (*BROKEN, OSError) as error:
                 raise self._damaged(error) from error
         facts = {item.name: item.metadata for item in metadata if item.name != "chain"}
         return facts, {item.name: item.data for item in attached}
@@ -107,10 +107,10 @@ class SegmentReader:
             for place in places:
                 if wanted.keys().isdisjoint(place.message_index_offsets):
                     continue
-                file.seek(place.chunk_start_offset + RECORD_HEAD_BYTES)
                 try:
+                    file.seek(place.chunk_start_offset + RECORD_HEAD_BYTES)
                     parts = [*parts_of(Chunk.read(ReadDataStream(file)))]
-                except BROKEN as error:
+                except (*BROKEN, OSError) as error:
                     raise self._damaged(error) from error
                 found = (part for part in parts if isinstance(part, Message) and part.channel_id in wanted)
                 yield [record_of(part, wanted) for part in found]
