@@ -3,16 +3,16 @@
     wavelength_nm,aoi_deg,polarisation,value,sigma      R, T in [0, 1]; psi, delta in deg, their polarisation empty
     theta_deg,phi_deg,value,sigma                       a far field, its scale free
 
-A table is read whole: every fault of every line is found, and the reader raises the first.
+A table is read whole: every fault of every line is found, of very many the first; the reader raises the first of all.
 """
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import islice
+from itertools import chain, islice
 from pathlib import Path
 from typing import Literal
 
@@ -42,6 +42,8 @@ BEYOND_UNITY = 0.05
 PERCENT = 1.5
 """A reflectance or transmittance with a larger value than this is taken for one in percent."""
 MAX_ROWS = 1_000_000
+MAX_FAULTS = 1000
+"""So many of one file are told, and that there are more."""
 
 Quantity = Literal["R", "T", "psi", "delta"]
 Row = Mapping[str, str]
@@ -87,20 +89,19 @@ def read_far_field(path: Path, shot: FarFieldShot) -> FarFieldTable:
 
 def spectrum_and_faults(path: Path, name: str, quantity: Quantity) -> tuple[SpectrumTable | None, Faults]:
     """The spectrum in a file, None where its columns cannot be read, and everything that is wrong with it."""
-    rows, faults = _rows(path, name, SPECTRUM_COLUMNS)
-    numbers = {
-        column: _numbers(rows, column, name, faults) for column in SPECTRUM_COLUMNS if column != "polarisation"
-    }
+    rows, of_form = _rows(path, name, SPECTRUM_COLUMNS)
+    numbers = {column: _numbers(rows, column) for column in SPECTRUM_COLUMNS if column != "polarisation"}
     polarisation = tuple(row["polarisation"].strip() for _, row in rows)
-    allowed = ("",) if quantity in ("psi", "delta") else ("s", "p", "u")
-    for (line, _), one in zip(rows, polarisation, strict=True):
-        if one not in allowed:
-            say = "nothing" if allowed == ("",) else "s, p or u"
-            faults.append(InputError(f"{name}: line {line}: polarisation", one, f"{say} for {quantity}"))
-    faults += _outside(rows, numbers, ("wavelength_nm", "aoi_deg"), name)
-    faults += _too_many_places(numbers, np.array(polarisation), name)
-    faults += _wrong_unit(rows, numbers["value"], numbers["sigma"], quantity, name)
-    faults += _duplicates(rows, ("wavelength_nm", "aoi_deg", "polarisation"), name)
+    faults = _first(
+        name,
+        of_form,
+        *(_no_numbers(rows, column, name) for column in numbers),
+        _wrong_polarisation(rows, polarisation, quantity, name),
+        _outside(rows, numbers, ("wavelength_nm", "aoi_deg"), name),
+        _too_many_places(numbers, np.array(polarisation), name),
+        _wrong_unit(rows, numbers["value"], numbers["sigma"], quantity, name),
+        _duplicates(rows, ("wavelength_nm", "aoi_deg", "polarisation"), name),
+    )
     if not rows or any(not np.isfinite(column).all() for column in numbers.values()):
         return None, faults
     return SpectrumTable(polarisation=polarisation, **numbers), faults
@@ -108,15 +109,28 @@ def spectrum_and_faults(path: Path, name: str, quantity: Quantity) -> tuple[Spec
 
 def far_field_and_faults(path: Path, name: str) -> tuple[FarFieldTable | None, Faults]:
     """The far field in a file, None where its columns cannot be read, and everything that is wrong with it."""
-    rows, faults = _rows(path, name, FAR_FIELD_COLUMNS)
-    numbers = {column: _numbers(rows, column, name, faults) for column in FAR_FIELD_COLUMNS}
-    faults += _outside(rows, numbers, ("theta_deg", "phi_deg"), name)
-    faults += _duplicates(rows, ("theta_deg", "phi_deg"), name)
-    if rows and not (numbers["value"] > 0.0).any():
-        faults.append(InputError(f"{name}: value", "nothing above 0", "an intensity", "was a background subtracted?"))
+    rows, of_form = _rows(path, name, FAR_FIELD_COLUMNS)
+    numbers = {column: _numbers(rows, column) for column in FAR_FIELD_COLUMNS}
+    dark = InputError(f"{name}: value", "nothing above 0", "an intensity", "was a background subtracted?")
+    faults = _first(
+        name,
+        of_form,
+        *(_no_numbers(rows, column, name) for column in numbers),
+        _outside(rows, numbers, ("theta_deg", "phi_deg"), name),
+        _duplicates(rows, ("theta_deg", "phi_deg"), name),
+        [dark] * bool(rows and not (numbers["value"] > 0.0).any()),
+    )
     if not rows or any(not np.isfinite(column).all() for column in numbers.values()):
         return None, faults
     return FarFieldTable(**numbers), faults
+
+
+def _first(name: str, *faults: Iterable[InputError]) -> Faults:
+    """The first of all faults of a file; where there are more, one behind them says so."""
+    first = list(islice(chain.from_iterable(faults), MAX_FAULTS + 1))
+    if len(first) > MAX_FAULTS:
+        first[-1] = InputError(f"{name}: faults", f"more than {MAX_FAULTS:,}", "none", "mend these, and check again")
+    return first
 
 
 def _rows(path: Path, name: str, columns: tuple[str, ...]) -> tuple[list[tuple[int, Row]], Faults]:
@@ -144,6 +158,8 @@ def _rows(path: Path, name: str, columns: tuple[str, ...]) -> tuple[list[tuple[i
                 continue
             if len(cells) != len(columns):
                 faults.append(_wrong_count(f"{name}: line {line}", cells, columns))
+                if len(faults) > MAX_FAULTS:
+                    break
                 continue
             if len(rows) == MAX_ROWS:
                 raise InputError(f"{name}: rows", "more", f"at most {MAX_ROWS:,} rows", "thin it out")
@@ -163,24 +179,37 @@ def _wrong_count(where: str, cells: Sequence[str], columns: Sequence[str]) -> In
     return InputError(where, ",".join(cells), f"{len(columns)} values: {','.join(columns)}", mend)
 
 
-def _numbers(rows: Sequence[tuple[int, Row]], column: str, name: str, faults: Faults) -> Real:
-    """A column as numbers, NaN where it has none; what is none, or a sigma not above 0, goes to `faults`."""
-    numbers = np.full(len(rows), np.nan)
-    for at, (line, row) in enumerate(rows):
+def _numbers(rows: Sequence[tuple[int, Row]], column: str) -> Real:
+    """A column as numbers, NaN where it has none."""
+    cells = (_comparable(row[column].strip()) for _, row in rows)
+    return np.array([math.nan if isinstance(cell, str) else cell for cell in cells], np.float64)
+
+
+def _no_numbers(rows: Sequence[tuple[int, Row]], column: str, name: str) -> Iterator[InputError]:
+    """What is no finite number, or a sigma not above 0."""
+    for line, row in rows:
         cell = row[column].strip()
-        try:
-            numbers[at] = float(cell)
-        except ValueError:
+        number = _comparable(cell)
+        if isinstance(number, str):
             comma = re.fullmatch(r"[-+]?\d+,\d+", cell)
             mend = "a decimal comma: write a point" if comma else "remove the row, or fill it in"
-            faults.append(InputError(f"{name}: line {line}: {column}", cell, "a number", mend))
-            continue
-        if not math.isfinite(numbers[at]):
-            faults.append(InputError(f"{name}: line {line}: {column}", cell, "a finite number", "remove the row"))
-        elif column == "sigma" and numbers[at] <= 0.0:
+            yield InputError(f"{name}: line {line}: {column}", cell, "a number", mend)
+        elif not math.isfinite(number):
+            yield InputError(f"{name}: line {line}: {column}", cell, "a finite number", "remove the row")
+        elif column == "sigma" and number <= 0.0:
             mend = "give the standard deviation of the value; repeat the measurement to learn it"
-            faults.append(InputError(f"{name}: line {line}: sigma", float(numbers[at]), "above 0", mend))
-    return numbers
+            yield InputError(f"{name}: line {line}: sigma", number, "above 0", mend)
+
+
+def _wrong_polarisation(
+    rows: Sequence[tuple[int, Row]], polarisation: Sequence[str], quantity: Quantity, name: str
+) -> Iterator[InputError]:
+    """Polarisations that the quantity has not."""
+    allowed = ("",) if quantity in ("psi", "delta") else ("s", "p", "u")
+    for (line, _), one in zip(rows, polarisation, strict=True):
+        if one not in allowed:
+            say = "nothing" if allowed == ("",) else "s, p or u"
+            yield InputError(f"{name}: line {line}: polarisation", one, f"{say} for {quantity}")
 
 
 def _outside(
@@ -252,6 +281,7 @@ def _duplicates(rows: Sequence[tuple[int, Row]], columns: tuple[str, ...], name:
 
 
 def _comparable(cell: str) -> float | str:
+    """A cell's number; the cell where it has none."""
     try:
         return float(cell)
     except ValueError:
