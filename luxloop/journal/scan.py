@@ -10,21 +10,20 @@ from __future__ import annotations
 import os
 import struct
 import zlib
+from collections import defaultdict
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
-from typing import IO, cast
+from typing import IO, Any, cast
 
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile, McapError
 from mcap.opcode import Opcode
-from mcap.reader import SeekingReader
 from mcap.records import Attachment, Channel, Chunk, DataEnd, Header, McapRecord, Message, Metadata
 from mcap.stream_reader import StreamReader
-from mcap.summary import Summary
 from mcap.writer import MCAP0_MAGIC
 
 from luxloop.errors import InputError
@@ -38,6 +37,8 @@ RECORD_LIMIT_BYTES = 256 << 20
 UNPACKED_LIMIT_BYTES = 64 << 20
 """Of a chunk: ours hold 1 MB, or one record that came in a frame of 16 MB."""
 HEAD, FOOTER = struct.Struct("<BQ"), struct.Struct("<BQQQI8s")
+Index = dict[str, list[Any]]
+"""The records of an index, by the names of their kinds in mcap."""
 Places = dict[type[McapRecord], list[tuple[int, set[int]]]]
 """Where the records of each kind lie, and the channels of a chunk."""
 
@@ -95,13 +96,12 @@ class Scan:
                     place = bounded.tell()
                     if not self._pending:
                         self.read_bytes = place
+                self._end(file)
             except (EndOfFile, struct.error):
                 self.torn = not bounded.was_closed()
                 self.fault = "" if self.torn else "it was finished, and breaks off in the middle"
             except BROKEN as error:
                 self.fault = str(error) or type(error).__name__
-            else:
-                self._end(file)
             self.left_bytes = bounded.size_bytes - self.read_bytes
 
     def _take(self, item: McapRecord, channels: set[int]) -> Iterator[Commit]:
@@ -149,20 +149,20 @@ class Scan:
         """The file was read to its end: what must be true of a finished one."""
         if self.final == Mark() or self._pending:
             self.fault = "it ends without the root of its chain"
-        elif (index := summary_of(file)) is None:
+        elif (index := index_of(file)) is None:
             self.fault = "its index does not match its checksum"
         elif not self._is_index(index):
             self.fault = "its index says other than its data"
         else:
             self.finished = True
 
-    def _is_index(self, index: Summary) -> bool:
+    def _is_index(self, index: Index) -> bool:
         """Whether those who read by this index see what was read here."""
-        topics = {number: channel.topic for number, channel in index.channels.items()}
+        topics = {one.id: one.topic for one in index["Channel"]}
         found: Places = {
-            Chunk: [(one.chunk_start_offset, {*one.message_index_offsets}) for one in index.chunk_indexes],
-            Metadata: [(one.offset, set()) for one in index.metadata_indexes],
-            Attachment: [(one.offset, set()) for one in index.attachment_indexes],
+            Chunk: [(one.chunk_start_offset, {*one.message_index_offsets}) for one in index["ChunkIndex"]],
+            Metadata: [(one.offset, set()) for one in index["MetadataIndex"]],
+            Attachment: [(one.offset, set()) for one in index["AttachmentIndex"]],
         }
         return topics == self._topics and found == self._places
 
@@ -194,7 +194,7 @@ def record_of(message: Message, topics: dict[int, str]) -> Record:
     return Record(topics[message.channel_id], message.sequence, message.log_time, message.data)
 
 
-def summary_of(file: IO[bytes]) -> Summary | None:
+def index_of(file: IO[bytes]) -> Index | None:
     """The index of a finished segment, checked against its checksum; None where there is none that holds."""
     size_bytes = os.fstat(file.fileno()).st_size
     if size_bytes < len(MCAP0_MAGIC) + FOOTER.size:
@@ -208,8 +208,10 @@ def summary_of(file: IO[bytes]) -> Summary | None:
     body = file.read(size_bytes - FOOTER.size - start)
     if crc == 0 or zlib.crc32(body + tail[: FOOTER.size - 12]) != crc:
         return None
-    file.seek(0)
-    return SeekingReader(file).get_summary()
+    index: Index = defaultdict(list)
+    for item in StreamReader(BytesIO(body + tail), True, True).records:  # its chunks, if it had any, stay packed
+        index[type(item).__name__].append(item)
+    return index
 
 
 def _mark(records: str, root: str) -> Mark:
@@ -222,7 +224,7 @@ def refuse_foreign(file: IO[bytes]) -> None:
     """Raise InputError for an MCAP file that somebody else wrote."""
     header = None
     with suppress(*BROKEN):  # what is wrong with it is said by whoever reads on
-        header = next(StreamReader(file, record_size_limit=RECORD_LIMIT_BYTES).records)
+        header = next(StreamReader(file, False, True, False, RECORD_LIMIT_BYTES).records)
     file.seek(0)
     if isinstance(header, Header) and header.profile != PROFILE:
         raise InputError(str(file.name), f"an MCAP file of {header.library!r}", "a journal of luxloop")

@@ -12,17 +12,19 @@ import pytest
 import zstandard
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
+from mcap.reader import SeekingReader
 from mcap.records import Chunk, DataEnd
 from mcap.stream_reader import StreamReader
+from mcap.summary import Summary
 from mcap.writer import MCAP0_MAGIC
 
 from env_controller.audit.checks import exit_code, verify
 from env_controller.audit.recover import recover
-from luxloop.journal.reader import RECORD_HEAD_BYTES, RunJournal, SegmentReader, segments_of
-from luxloop.journal.scan import FOOTER
+from luxloop.journal.reader import RunJournal, segments_of
+from luxloop.journal.scan import FOOTER, HEAD
 from tests.journals import write_run
 
-DATA_END_BYTES = RECORD_HEAD_BYTES + 4
+DATA_END_BYTES = HEAD.size + 4
 UNKNOWN = 0x80
 AMISS = "its index says other than its data"
 
@@ -35,6 +37,14 @@ def written(*records: Any) -> bytes:
     return bytes(built.end())  # type: ignore[no-untyped-call]  # mcap leaves its return type open
 
 
+def index_of(path: Path) -> Summary:
+    """The index of a finished segment."""
+    with path.open("rb") as file:
+        index = SeekingReader(file).get_summary()
+    assert index is not None
+    return index
+
+
 def data_of(path: Path) -> bytes:
     """The data section of a finished segment, without its end."""
     raw = path.read_bytes()
@@ -43,8 +53,7 @@ def data_of(path: Path) -> bytes:
 
 def forged(path: Path, change: Callable[[Any], object], data: bytes | None = None) -> None:
     """Write a segment anew with these data, where given, and its index after `change`, with right checksums."""
-    data, index = data or data_of(path), SegmentReader(path).index
-    assert index is not None
+    data, index = data or data_of(path), index_of(path)
     change(index)
     parts = index.schemas.values(), index.channels.values(), index.chunk_indexes
     body = written(*(one for part in parts for one in part), *index.attachment_indexes, *index.metadata_indexes)
@@ -55,8 +64,7 @@ def forged(path: Path, change: Callable[[Any], object], data: bytes | None = Non
 
 def chunk_of(path: Path, number: int) -> tuple[Chunk, bytes, int]:
     """A chunk, its contents, and where it begins."""
-    index = SegmentReader(path).index
-    assert index is not None
+    index = index_of(path)
     with path.open("rb") as file:
         chunks = [one for one in StreamReader(file, emit_chunks=True).records if isinstance(one, Chunk)]
     true, start = chunks[number], index.chunk_indexes[number].chunk_start_offset
@@ -140,7 +148,7 @@ def test_a_step_that_only_the_index_knows_is_found(run: Path) -> None:
     whole = data_of(path)
 
     def point(index: Any) -> None:
-        index.chunk_indexes[2].chunk_start_offset = len(whole) + RECORD_HEAD_BYTES
+        index.chunk_indexes[2].chunk_start_offset = len(whole) + HEAD.size
 
     forged(path, point, whole + struct.pack("<BQ", UNKNOWN, len(chunk)) + chunk)
     assert seen(run)[0] == [0.5, 0.52, 0.99]
@@ -172,8 +180,7 @@ def test_a_channel_keeps_its_first_topic(run: Path) -> None:
     (path,) = segments_of(run)
     true, data, start = chunk_of(path, -1)
     whole, before = data_of(path), len(chunk_with(true, data))
-    index = SegmentReader(path).index
-    assert index is not None
+    index = index_of(path)
     channel = index.channels[number_of_steps(index)]
     renames_topic(index)
     chunk = chunk_with(true, data + written(channel))

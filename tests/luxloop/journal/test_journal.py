@@ -314,7 +314,7 @@ def test_damage_in_a_finished_segment_is_said_with_its_file(tmp_path: Path) -> N
     raw = bytearray(path.read_bytes())
     index = SegmentReader(path).index
     assert index is not None
-    raw[index.chunk_indexes[2].chunk_start_offset + 200] ^= 4
+    raw[index["ChunkIndex"][2].chunk_start_offset + 200] ^= 4
     path.write_bytes(raw)
     with pytest.raises(LuxloopError, match=r"audit-0001.mcap: damaged"):
         messages(tmp_path)

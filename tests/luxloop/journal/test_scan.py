@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import struct
 import zlib
 from pathlib import Path
@@ -10,17 +9,17 @@ from pathlib import Path
 import pytest
 import zstandard
 from mcap.data_stream import RecordBuilder
-from mcap.records import Chunk
-from mcap.writer import Writer
+from mcap.records import Chunk, Header, McapRecord
+from mcap.writer import MCAP0_MAGIC
 
 from luxloop.errors import LuxloopError
-from luxloop.journal.reader import RECORD_HEAD_BYTES, SegmentReader, segments_of
-from luxloop.journal.scan import FOOTER, UNPACKED_LIMIT_BYTES, Scan
+from luxloop.journal.reader import SegmentReader, segments_of
+from luxloop.journal.scan import FOOTER, HEAD, UNPACKED_LIMIT_BYTES, Scan
 from luxloop.journal.segment import PROFILE
 from tests.journals import write_run
 
-DATA_END_BYTES = RECORD_HEAD_BYTES + 4  # ends in the checksum over all before it; the index follows
-CHUNK_CHECKSUM = RECORD_HEAD_BYTES + 3 * 8  # after two times and a size
+DATA_END_BYTES = HEAD.size + 4  # ends in the checksum over all before it; the index follows
+CHUNK_CHECKSUM = HEAD.size + 3 * 8  # after two times and a size
 
 
 def a_segment(folder: Path) -> tuple[Path, bytearray, int]:
@@ -48,7 +47,7 @@ def test_a_chunk_that_does_not_match_its_checksum_ends_a_torn_segment(tmp_path: 
     path, raw, index = a_segment(tmp_path)
     summary = SegmentReader(path).index
     assert summary is not None
-    raw[summary.chunk_indexes[2].chunk_start_offset + CHUNK_CHECKSUM] ^= 4
+    raw[summary["ChunkIndex"][2].chunk_start_offset + CHUNK_CHECKSUM] ^= 4
     path.write_bytes(raw[: index - DATA_END_BYTES])
     scan = Scan(path)
     assert len(list(scan)) == 2  # the opening and a step
@@ -56,12 +55,17 @@ def test_a_chunk_that_does_not_match_its_checksum_ends_a_torn_segment(tmp_path: 
     assert "crc" in scan.fault.lower()
 
 
+def as_written(record: McapRecord) -> bytes:
+    """A record as it lies in a file."""
+    built = RecordBuilder()
+    record.write(built)
+    return bytes(built.end())  # type: ignore[no-untyped-call]  # mcap leaves its return type open
+
+
 def with_chunk(path: Path, compression: str, packed: bytes, plain: bytes, size_bytes: int) -> Path:
     """A segment of one chunk, as somebody made it with a right checksum."""
-    file, built = io.BytesIO(), RecordBuilder()
-    Writer(file).start(PROFILE, "x")
-    Chunk(compression, packed, 0, 0, zlib.crc32(plain), size_bytes).write(built)
-    path.write_bytes(file.getvalue() + built.end())  # type: ignore[no-untyped-call]  # mcap leaves its return type open
+    chunk = Chunk(compression, packed, 0, 0, zlib.crc32(plain), size_bytes)
+    path.write_bytes(MCAP0_MAGIC + as_written(Header(PROFILE, "x")) + as_written(chunk))
     return path
 
 
@@ -96,9 +100,35 @@ def test_readers_by_the_index_refuse_such_a_chunk_too(tmp_path: Path) -> None:
     path, raw, _ = a_segment(tmp_path)
     summary = SegmentReader(path).index
     assert summary is not None
-    name = summary.chunk_indexes[2].chunk_start_offset + CHUNK_CHECKSUM + 4 + 4  # after checksum and length
+    name = summary["ChunkIndex"][2].chunk_start_offset + CHUNK_CHECKSUM + 4 + 4  # after checksum and length
     assert raw[name : name + 4] == b"zstd"
     raw[name : name + 4] = b"lz4\0"
     path.write_bytes(raw)
     with pytest.raises(LuxloopError, match="damaged"):
         list(SegmentReader(path).records())
+
+
+GARBAGE = Chunk("lz4", b"garbage", 0, 0, 0, 0)
+
+
+def test_a_chunk_before_the_header_stays_packed(tmp_path: Path) -> None:
+    """Whoever looks for the header would have unpacked it."""
+    path = tmp_path / "audit-0001.mcap"
+    path.write_bytes(MCAP0_MAGIC + as_written(GARBAGE))
+    scan = Scan(path)
+    assert list(scan) == []
+    assert "compression 'lz4'" in scan.fault
+
+
+@pytest.mark.parametrize("more", [as_written(GARBAGE), b"\x04\xff", b""], ids=["a chunk", "half a record", "nothing"])
+def test_an_index_is_read_without_what_else_is_among_it(tmp_path: Path, more: bytes) -> None:
+    """A second index behind the end, with a right checksum: it is of no data, and a chunk in it stays packed."""
+    path, raw, _ = a_segment(tmp_path)
+    tail = FOOTER.pack(0x02, 20, len(raw), 0, 0, MCAP0_MAGIC)[: FOOTER.size - 12]
+    path.write_bytes(bytes(raw) + more + tail + struct.pack("<I", zlib.crc32(more + tail)) + MCAP0_MAGIC)
+    index = SegmentReader(path).index
+    assert not (index and index["ChunkIndex"])
+    scan = Scan(path)
+    assert len(list(scan)) == 5
+    assert not scan.finished
+    assert scan.fault
