@@ -14,7 +14,6 @@ import io
 import itertools
 import json
 import zipfile
-import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any, Protocol
@@ -26,6 +25,11 @@ from agent.moves import Key, key_of
 from luxloop.campaign import AgentRecord, Move, Step
 from luxloop.design import Design
 from luxloop.errors import InputError
+
+BROKEN = (
+    OSError, ValueError, KeyError, EOFError, TypeError, AttributeError, RuntimeError, MemoryError, zipfile.BadZipFile,
+)  # fmt: skip
+"""What reading an .npz file that is not as it was written may raise."""
 
 
 @dataclass(frozen=True)
@@ -71,9 +75,11 @@ class Checkpoint:
         """The checkpoint in an .npz file; raises InputError where the bytes are none."""
         try:
             with np.load(io.BytesIO(data), allow_pickle=False) as file:
+                if any(entry.compress_type != zipfile.ZIP_STORED for entry in file.zip.infolist()):
+                    raise zipfile.BadZipFile("an entry is compressed")
                 arrays = {name: file[name] for name in file.files}
             return cls(json.loads(arrays.pop("words").tobytes()), arrays)
-        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        except BROKEN as error:
             raise InputError(
                 "checkpoint", f"{len(data)} bytes", "a designer's .npz checkpoint", str(error)
             ) from error

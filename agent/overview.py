@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
-import shlex
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from agent.in_words import plain
+from agent.recorded import begun_by, object_in
 from luxloop.journal.reader import RunJournal
 from luxloop.journal.topics import VALIDATION
 
@@ -50,8 +49,7 @@ def _mend(facts: Mapping[str, str], folder: Path) -> str:
     """The command that goes on with a campaign or a grid; no other run can be gone on with: its own, given again."""
     if facts.get("kind") != VALIDATION:
         return f"luxloop campaign resume {folder.name}"
-    argv = json.loads(facts.get("facts") or "{}").get("argv", ())
-    return shlex.join(["luxloop", *map(str, argv)]) if argv else ""
+    return begun_by(object_in(facts.get("facts") or "{}", "facts"))
 
 
 def state_of(journal: RunJournal) -> tuple[str, str]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import shlex
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -120,6 +122,25 @@ def recorded(folder: Path) -> Recorded:
         records=chain[0].records if chain else 0,
         root=chain[0].root if chain else "0" * 64,
     )
+
+
+def object_in(text: str | bytes, name: str) -> Document:
+    """The JSON object in a text that a journal holds; `name` says which. Raises InputError where it is none."""
+    try:
+        found = json.loads(text)
+    except (ValueError, RecursionError):
+        found = None
+    if not isinstance(found, dict):
+        raise InputError(
+            name, text[:60], "a JSON object", "luxloop audit verify says whether it is as it was written"
+        )
+    return found
+
+
+def begun_by(facts: Document) -> str:
+    """The command line by which a run was begun, as its facts have it; empty where they do not say."""
+    argv = facts.get("argv")
+    return shlex.join(["luxloop", *map(str, argv)]) if argv and isinstance(argv, list) else ""
 
 
 def details(folder: Path, wanted: Collection[Told]) -> Details:

@@ -7,7 +7,6 @@ A run that goes on, was killed, or found nothing has a document too: what is not
 
 from __future__ import annotations
 
-import json
 import math
 import shlex
 from collections.abc import Mapping, Sequence
@@ -20,7 +19,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.moves import key_of
-from agent.recorded import Details, Document, Recorded, Told, details, distinct, has_episodes, recorded
+from agent.recorded import (
+    Details,
+    Document,
+    Recorded,
+    Told,
+    begun_by,
+    details,
+    distinct,
+    has_episodes,
+    object_in,
+    recorded,
+)
 from agent.report_arrays import Arrays, episode_arrays, line_of, pareto_arrays, walk_arrays
 from agent.report_numbers import difference, estimate, grid_of
 from luxloop.campaign import REWARDS, Plan, Role, Step
@@ -201,10 +211,9 @@ def simulate_command(told: Told, plan: Plan, request: Mapping[str, Any] | None) 
 def _provenance(run: Recorded) -> Document:
     """Who made this, with what, and what the journal says of itself."""
     plan = run.plan
-    facts = json.loads(run.facts.get("facts") or "{}")
+    facts = object_in(run.facts.get("facts") or "{}", "facts")
     model = Model(name="of the run", environment=plan.environment, effects=plan.effects)
-    settings = json.loads(run.attachments[SETTINGS]) if SETTINGS in run.attachments else {}
-    argv = facts.get("argv")
+    settings = object_in(run.attachments[SETTINGS], SETTINGS) if SETTINGS in run.attachments else {}
     return {
         "run": plan.run,
         "kind": plan.kind,
@@ -213,7 +222,7 @@ def _provenance(run: Recorded) -> Document:
         "ended": run.close.reason if run.close else "",
         "designer": str(facts.get("designer", "")),
         "seed": facts.get("seed"),
-        "command_line": shlex.join(["luxloop", *map(str, argv)]) if argv else "",
+        "command_line": begun_by(facts),
         "model": {"name": plan.model, "sha256": model.sha256, "effects": [effect.name for effect in plan.effects]},
         "plan": plan.model_dump(mode="json"),
         "reward": {"name": plan.reward, "formula": REWARDS[plan.reward]},

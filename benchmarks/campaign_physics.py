@@ -39,7 +39,8 @@ def row(workers: int, threads: int, lanes: int, evaluations: int) -> tuple[list[
         rays_s = sum(step.physics_s for step in walk if not step.cached)
         wall_s = (max(r.log_time_ns for r in journal.records("/step") if r.sequence < len(walk))
                   - min(r.log_time_ns for r in journal.records("/step"))) / 1e9  # fmt: skip
-        weights = sorted((one.lane, one.number, one.weights_sha256) for one in journal.learner())
+        learner = (entry.value for entry in journal.records("/agent"))
+        weights = sorted((one.lane, one.number, one.weights_sha256) for one in learner)
     seen, best = done.found.progress, done.found.best
     return [
         workers, threads, lanes, len(walk), f"{wall_s:.1f}", f"{len(walk) / wall_s:.1f}",

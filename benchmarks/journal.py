@@ -23,6 +23,7 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 
 from env_controller.audit.checks import exit_code, verify
+from env_controller.notes import note_records
 from luxloop.campaign import AgentRecord, Note, Step
 from luxloop.design import Design
 from luxloop.journal.image import descriptor_set
@@ -33,7 +34,6 @@ from luxloop.journal.topics import (
     TOPICS,
     Record,
     map_record,
-    note_records,
     reply_record,
     request_record,
     step_record,
@@ -208,7 +208,10 @@ def read_rows(run: Path, state: str) -> None:
     row("  open, and read the facts", lambda: RunJournal(run).metadata("run"))
     row("  open, and read the last 10 steps", lambda: [entry.value for entry in RunJournal(run).last("/step", 10)])
     row("  open, and read all steps", lambda: sum(1 for _ in RunJournal(run).steps()))
-    row("  open, and read all maps", lambda: sum(1 for _ in RunJournal(run).maps()))
+    row(
+        "  open, and read all maps",
+        lambda: sum(entry.value.size > 0 for entry in RunJournal(run).records("/map/sim")),
+    )
 
 
 def last_by_mcap(path: Path, steps: int) -> int:

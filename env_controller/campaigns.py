@@ -20,6 +20,7 @@ from env_controller import actions as a
 from env_controller.audit.machine import machine
 from env_controller.environment import EnvironmentAgent
 from env_controller.events import Command
+from env_controller.notes import note_records
 from env_controller.past import Reader, ended_before, never_begun, was_begun
 from env_controller.trials import Past
 from luxloop.bus import Asked
@@ -34,7 +35,6 @@ from luxloop.journal.topics import (
     Record,
     log_record,
     map_record,
-    note_records,
     opening,
     reply_record,
     request_record,

@@ -34,6 +34,7 @@ CA_DAYS = 3650
 SOON_DAYS = 30
 CA_NAME = "luxloop lab CA"
 UNFINISHED = ".unfinished"
+IGNORE = ".gitignore"
 EARLY = timedelta(minutes=5)  # a host whose clock is a little behind takes a new certificate, too
 
 
@@ -153,7 +154,7 @@ def _refuse_lone_key(folder: Path) -> None:
 def _refuse_another_s(folder: Path) -> None:
     """InputError where a folder holds anything, and no set that is whole or was begun: nothing is touched there."""
     with suppress(OSError):  # what cannot be looked into cannot be written either: that is told then
-        if not any(folder.iterdir()) or (folder / UNFINISHED).exists():
+        if all(path.name == IGNORE for path in folder.iterdir()) or (folder / UNFINISHED).exists():
             return
         mend = f"name a new one: --out {folder / 'certs'}; is it the rest of a set, move it away"
         raise InputError("out", str(folder), "an empty folder, a new one, or one with a set", mend)
@@ -208,6 +209,8 @@ def _write(folder: Path, authority: Authority, hosts: Iterable[str], end: dateti
     _private_folder(folder)
     if not (folder / "ca.pem").exists():
         (folder / UNFINISHED).touch()
+        if not (folder / IGNORE).exists():
+            _replace(folder / IGNORE, b"*\n", 0o644)  # keys belong into no repository
     for left in _left_behind(folder):
         left.unlink()
     for role in ROLES:
@@ -221,7 +224,7 @@ def _write(folder: Path, authority: Authority, hosts: Iterable[str], end: dateti
 
 def _left_behind(folder: Path) -> list[Path]:
     """What `_replace` wrote in a run that was killed."""
-    files = [folder / "ca.key", folder / "ca.pem"]
+    files = [folder / name for name in (IGNORE, "ca.key", "ca.pem")]
     files += [folder / role / name for role in ROLES for name in (f"{role}.pem", "ca.pem")]
     return [left for file in files for left in file.parent.glob(f".{file.name}-*")]
 

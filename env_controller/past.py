@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
-from env_controller.audit.checks import GIVEN, verify
+from env_controller.audit.checks import GIVEN, read_side_file, verify
 from env_controller.trials import Past, film_task
 from luxloop import __version__
 from luxloop.bus import Asked
@@ -21,7 +21,6 @@ from luxloop.errors import LuxloopError, RemoteError
 from luxloop.failure import Failure
 from luxloop.journal.reader import RunJournal, segments_of
 from luxloop.journal.scan import Scan
-from luxloop.journal.segment import read_side_file
 from luxloop.journal.topics import Close
 from luxloop.messages import Nothing
 from luxloop.ray import Film

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from env_controller.notes import note_records
 from luxloop.campaign import AgentRecord, Begin, Fidelity, Note, Plan, Role, Step
 from luxloop.design import Bounds, Design
 from luxloop.failure import Failure
@@ -19,7 +20,6 @@ from luxloop.journal.topics import (
     Record,
     log_record,
     map_record,
-    note_records,
     opening,
     reply_record,
     request_record,

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from env_controller.notes import note_records
 from luxloop.campaign import AgentRecord, Note, Step
 from luxloop.design import Design
 from luxloop.errors import LuxloopError
@@ -19,7 +20,6 @@ from luxloop.journal.reader import RunJournal
 from luxloop.journal.topics import (
     Record,
     map_record,
-    note_records,
     reply_record,
     request_record,
     step_record,

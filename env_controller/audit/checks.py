@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import count
 from pathlib import Path
@@ -19,7 +20,7 @@ from luxloop.errors import InputError
 from luxloop.journal.chain import Link, Mark
 from luxloop.journal.reader import left_over, number_of, segments_of
 from luxloop.journal.scan import Commit, Scan
-from luxloop.journal.segment import FORMAT, PATTERN, SIDE_FILE, being_written, read_side_file
+from luxloop.journal.segment import FORMAT, PATTERN, SIDE_FILE, being_written
 from luxloop.journal.topics import Record, RequestRecord
 from luxloop.messages import Task
 
@@ -275,6 +276,14 @@ def _side_file(folder: Path, audit: Audit) -> list[Expected]:
         audit.say(SIDE_FILE, "broken", f"it cannot be read: {error}")
         return []
     return [] if mark is None else [Expected(SIDE_FILE, mark.records, mark.root)]
+
+
+def read_side_file(folder: Path) -> Mark | None:
+    """The mark in the side file; None where there is none. Raises ValueError or OSError where it cannot be read."""
+    with suppress(FileNotFoundError):
+        root, _, records = (folder / SIDE_FILE).read_text().strip().partition(" ")
+        return Mark(int(records), root)
+    return None
 
 
 def _some(items: set[str] | list[int]) -> str:

@@ -19,12 +19,12 @@ from shutil import copy2
 from typing import Any
 
 from env_controller.audit.checks import verify
-from env_controller.audit.recover import owner_of
+from env_controller.audit.recover import held, owner_of
 from luxloop.errors import InputError, LuxloopError
 from luxloop.journal.chain import Mark
 from luxloop.journal.reader import SegmentReader, left_over, segments_of, tail_of
 from luxloop.journal.scan import Commit, Scan
-from luxloop.journal.segment import PATTERN, SegmentFile, held, sync_folder
+from luxloop.journal.segment import PATTERN, SegmentFile, sync_folder
 
 CHUNK_BYTES = 1 << 20
 BEFORE = "segments-before"

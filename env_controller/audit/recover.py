@@ -9,6 +9,7 @@ cannot be shown to belong to what lies before and is not passed off as good. It 
 
 from __future__ import annotations
 
+import fcntl
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -16,20 +17,12 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from env_controller.audit.checks import how_left
+from env_controller.audit.checks import how_left, read_side_file
 from luxloop.errors import InputError, LuxloopError
 from luxloop.journal.chain import Mark
 from luxloop.journal.reader import SegmentReader, left_over, number_of, segments_of
 from luxloop.journal.scan import Commit, Scan
-from luxloop.journal.segment import (
-    PATTERN,
-    SIDE_FILE,
-    SegmentFile,
-    held,
-    read_side_file,
-    sync_folder,
-    write_side_file,
-)
+from luxloop.journal.segment import PATTERN, SIDE_FILE, SegmentFile, sync_folder, write_side_file
 
 WHOLE, FAILED, LOSS, CHANGED = 0, 1, 3, 5
 FINISHED = "finished"
@@ -114,6 +107,20 @@ def alone(folder: Path) -> Iterator[list[Path]]:
         if not nobody_else:
             raise InputError("RUN", str(folder), "a run that nobody writes", f"end {owner_of(paths[-1])} first")
         yield paths
+
+
+@contextmanager
+def held(path: Path) -> Iterator[bool]:
+    """While inside, the segment seems to be written, so that nobody else goes on with the run; False where it is."""
+    with path.open("rb") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            free = True
+        except BlockingIOError:
+            free = False
+        except OSError:  # a file system without locks
+            free = True
+        yield free
 
 
 @contextmanager

@@ -15,24 +15,18 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar
 
-import numpy as np
 from mcap.data_stream import ReadDataStream
 from mcap.records import Attachment, Chunk, Message, Metadata
-from mcap.stream_reader import breakup_chunk
-from mcap.summary import Summary
-from numpy.typing import NDArray
 
 from luxloop.campaign import Step
 from luxloop.errors import InputError, LuxloopError
 from luxloop.journal.chain import Mark
-from luxloop.journal.scan import BROKEN, Scan, record_of, refuse_foreign, summary_of
+from luxloop.journal.scan import BROKEN, HEAD, Index, Scan, index_of, parts_of, record_of, refuse_foreign
 from luxloop.journal.segment import FORMAT, PATTERN, being_written
-from luxloop.journal.topics import CHAIN, TOPICS, Close, LearnerRecord, Record
+from luxloop.journal.topics import CHAIN, TOPICS, Close, Record
 from luxloop.words import Words, parse
 
 W = TypeVar("W", bound=Words)
-
-RECORD_HEAD_BYTES = 9  # opcode and length
 
 
 class SegmentReader:
@@ -42,11 +36,11 @@ class SegmentReader:
         self.path = path
 
     @cached_property
-    def index(self) -> Summary | None:
+    def index(self) -> Index | None:
         """The index; None where the segment is not finished, or damaged."""
         with self.path.open("rb") as file:
             try:
-                return summary_of(file)
+                return index_of(file)
             except BROKEN:
                 return None
 
@@ -59,20 +53,20 @@ class SegmentReader:
         kinds: dict[str, dict[str, bytes]] = {"metadata": {}, "attachment": {}}
         for link in first.links if first else ():
             kind, _, name = link.topic.partition("/")
-            kinds[kind][name] = link.data
+            kinds.setdefault(kind, {})[name] = link.data
         return {name: json.loads(data) for name, data in kinds["metadata"].items()}, kinds["attachment"]
 
-    def _indexed_opening(self, index: Summary) -> tuple[dict[str, dict[str, str]], dict[str, bytes]]:
+    def _indexed_opening(self, index: Index) -> tuple[dict[str, dict[str, str]], dict[str, bytes]]:
         def read(kind: type[Metadata] | type[Attachment], offset: int) -> Any:
-            file.seek(offset + RECORD_HEAD_BYTES)
+            file.seek(offset + HEAD.size)
             return kind.read(ReadDataStream(file))
 
         with self.path.open("rb") as file:
             refuse_foreign(file)
             try:
-                metadata = [read(Metadata, place.offset) for place in index.metadata_indexes]
-                attached = [read(Attachment, place.offset) for place in index.attachment_indexes]
-            except BROKEN as error:
+                metadata = [read(Metadata, place.offset) for place in index["MetadataIndex"]]
+                attached = [read(Attachment, place.offset) for place in index["AttachmentIndex"]]
+            except (*BROKEN, OSError) as error:
                 raise self._damaged(error) from error
         facts = {item.name: item.metadata for item in metadata if item.name != "chain"}
         return facts, {item.name: item.data for item in attached}
@@ -102,18 +96,19 @@ class SegmentReader:
                 break
         return found[-count:]
 
-    def _chunks(self, index: Summary, topics: Iterable[str], newest_first: bool) -> Iterator[list[Record]]:
+    def _chunks(self, index: Index, topics: Iterable[str], newest_first: bool) -> Iterator[list[Record]]:
         """The records of these topics, chunk by chunk."""
-        wanted = {number: channel.topic for number, channel in index.channels.items() if channel.topic in topics}
-        places = sorted(index.chunk_indexes, key=lambda place: place.chunk_start_offset, reverse=newest_first)
+        channels = {one.id: one.topic for one in index["Channel"]}
+        wanted = {number: topic for number, topic in channels.items() if topic in topics}
+        places = sorted(index["ChunkIndex"], key=lambda place: place.chunk_start_offset, reverse=newest_first)
         with self.path.open("rb") as file:
             for place in places:
                 if wanted.keys().isdisjoint(place.message_index_offsets):
                     continue
-                file.seek(place.chunk_start_offset + RECORD_HEAD_BYTES)
                 try:
-                    parts = breakup_chunk(Chunk.read(ReadDataStream(file)), validate_crc=True)
-                except BROKEN as error:
+                    file.seek(place.chunk_start_offset + HEAD.size)
+                    parts = [*parts_of(Chunk.read(ReadDataStream(file)))]
+                except (*BROKEN, OSError) as error:
                     raise self._damaged(error) from error
                 found = (part for part in parts if isinstance(part, Message) and part.channel_id in wanted)
                 yield [record_of(part, wanted) for part in found]
@@ -173,14 +168,6 @@ class RunJournal:
     def steps(self) -> Iterator[Step]:
         """All steps of the run."""
         return (entry.value for entry in self.records("/step"))
-
-    def learner(self) -> Iterator[LearnerRecord]:
-        """What the learner was like, action by action."""
-        return (entry.value for entry in self.records("/agent"))
-
-    def maps(self) -> Iterator[tuple[int, NDArray[np.float32]]]:
-        """Sequence of its step, and map (y, x) in lx, row 0 at the lowest y."""
-        return ((entry.sequence, entry.value) for entry in self.records("/map/sim"))
 
     @property
     def close(self) -> Close | None:

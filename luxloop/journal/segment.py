@@ -14,8 +14,8 @@ import fcntl
 import json
 import os
 import time
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import IO, cast
 
@@ -66,7 +66,7 @@ class SegmentFile:
 
     def spill(self) -> None:
         """Write out what waits in memory where that is much, but for the chunk that is being filled."""
-        if self._file.waiting_bytes > SPILL_BYTES:
+        if len(self._file.waiting) > SPILL_BYTES:
             self._file.sync()
 
     def finish(self, mark: Mark) -> None:
@@ -173,40 +173,22 @@ def being_written(path: Path) -> bool:
     return False
 
 
-@contextmanager
-def held(path: Path) -> Iterator[bool]:
-    """While inside, the segment seems to be written, so that nobody else goes on with the run; False where it is."""
-    with path.open("rb") as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            free = True
-        except BlockingIOError:
-            free = False
-        except OSError:  # a file system without locks
-            free = True
-        yield free
-
-
 class _DurableFile:
     """A new file whose bytes wait in memory until `sync`; what fails to be written whole is taken back."""
 
     def __init__(self, path: Path) -> None:
         self._raw = path.open("xb", buffering=0)
-        self._waiting = bytearray()
+        self.waiting = bytearray()
         self._safe_bytes = 0
         with suppress(OSError):  # a file system without locks
             fcntl.flock(self._raw, fcntl.LOCK_EX)
 
     def write(self, data: bytes) -> int:
-        self._waiting += data
+        self.waiting += data
         return len(data)
 
-    @property
-    def waiting_bytes(self) -> int:
-        return len(self._waiting)
-
     def tell(self) -> int:
-        return self._safe_bytes + len(self._waiting)
+        return self._safe_bytes + len(self.waiting)
 
     def flush(self) -> None:
         """All is written by `sync`."""
@@ -214,7 +196,7 @@ class _DurableFile:
     def sync(self) -> None:
         """Write what waits, and wait for the disk. Raises OSError also where the file has been removed."""
         try:
-            rest = memoryview(bytes(self._waiting))
+            rest = memoryview(bytes(self.waiting))
             while rest:
                 rest = rest[self._raw.write(rest) :]
             os.fdatasync(self._raw.fileno())
@@ -224,8 +206,8 @@ class _DurableFile:
             raise
         if os.fstat(self._raw.fileno()).st_nlink == 0:
             raise FileNotFoundError(errno.ENOENT, "its file was removed while it was written")
-        self._safe_bytes += len(self._waiting)
-        self._waiting.clear()
+        self._safe_bytes += len(self.waiting)
+        self.waiting.clear()
 
     def close(self) -> None:
         self._raw.close()
@@ -241,14 +223,6 @@ def write_side_file(folder: Path, mark: Mark) -> None:
         os.fsync(file.fileno())
     fresh.replace(path)
     sync_folder(folder)
-
-
-def read_side_file(folder: Path) -> Mark | None:
-    """The mark in the side file; None where there is none. Raises ValueError or OSError where it cannot be read."""
-    with suppress(FileNotFoundError):
-        root, _, records = (folder / SIDE_FILE).read_text().strip().partition(" ")
-        return Mark(int(records), root)
-    return None
 
 
 def sync_folder(folder: Path) -> None:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from luxloop import __version__
-from luxloop.campaign import AgentRecord, Begin, Note, RunId, Step
+from luxloop.campaign import AgentRecord, Begin, RunId, Step
 from luxloop.errors import InputError
 from luxloop.failure import Failure
 from luxloop.journal.chain import Link
@@ -196,25 +196,6 @@ def map_record(map_lx: NDArray[Any], sequence: int, log_time_ns: int) -> Record:
 def log_record(line: str, sequence: int, log_time_ns: int, level: Level = "info", name: str = "") -> Record:
     """A line of text."""
     return Record("/log", sequence, log_time_ns, log_of(LogLine(line, level, name), log_time_ns))
-
-
-def note_records(note: Note, sequence: int, log_time_ns: int) -> list[Record]:
-    """What a designer sends for the record: of its learner, a result, a line of text, or several of them."""
-    at = sequence, log_time_ns
-    records = []
-    if note.agent is not None:
-        records.append(record("/agent", LearnerRecord(run=note.run, **note.agent.model_dump()), *at))
-    if note.result is not None:
-        records.append(record("/note", NoteRecord(run=note.run, designer=note.designer, result=note.result), *at))
-    if note.validation is not None:
-        step = parse(ValidationStep, {"run": note.run, **note.validation}, "validation")
-        records.append(record("/validation", step, *at))
-    for shot, rows in note.residual_maps.items():
-        image = image_of(np.array(rows, np.float32), log_time_ns, shot)
-        records.append(Record("/map/residual", *at, image))
-    if note.log:
-        records.append(log_record(note.log, *at, name=note.designer))
-    return records
 
 
 def opening(begin: Begin) -> tuple[dict[str, str], dict[str, bytes]]:

@@ -17,6 +17,7 @@ from agent.config import Campaign, Stop
 from agent.designers import designer
 from agent.moves import Space
 from agent.progress import WalkEnd
+from env_controller.notes import note_records
 from luxloop.audit import Compared
 from luxloop.campaign import Action, AgentRecord, Begin, Note, Plan, Step
 from luxloop.design import Bounds, Design
@@ -25,7 +26,7 @@ from luxloop.journal.chain import Mark
 from luxloop.journal.journal import Journal
 from luxloop.journal.reader import RunJournal
 from luxloop.journal.segment import Segment
-from luxloop.journal.topics import Close, NoteRecord, Record, log_record, note_records, opening, record, step_record
+from luxloop.journal.topics import Close, NoteRecord, Record, log_record, opening, record, step_record
 from luxloop.model import Model
 from luxloop.words import canonical
 from tests.journals import START_NS
@@ -226,7 +227,7 @@ def test_a_changed_learner_is_named(tmp_path: Path, values: dict[str, Any], what
 def test_elsewhere_the_last_bits_of_a_learner_say_nothing(tmp_path: Path) -> None:
     """Other packages: another hash is not comparable, a loss within a thousandth is within tolerance."""
     recorded(tmp_path / "r", "ddqn-fast", stop={"evaluations": 60})
-    last = max(RunJournal(tmp_path / "r").learner(), key=lambda one: one.number)
+    last = max((entry.value for entry in RunJournal(tmp_path / "r").records("/agent")), key=lambda one: one.number)
     assert last.loss is not None
     values = {"weights_sha256": "0" * 64, "loss": last.loss * 1.0001}
     said = compared(Changed(tmp_path / "r", last.number, **values), same_machine=False)

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import io
 import os
+import zipfile
+from itertools import product
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from agent import checkpoints as c
@@ -158,6 +162,33 @@ def test_what_does_not_fit_is_left_aside_for_an_older_one(tmp_path: Path, harm: 
     assert len(warnings) == 1
     assert newest.name in warnings[0]
     assert "left aside" in warnings[0]
+
+
+def test_a_checkpoint_with_a_wrong_byte_is_an_input_error_or_the_same() -> None:
+    """Each byte, three ways: sizes, flags and versions of its entries among them; some bytes say nothing."""
+    data = Checkpoint({"a": 1}, {"w": np.arange(40.0)}).to_bytes()
+    refused = 0
+    for place, flip in product(range(len(data)), (0x01, 0x40, 0xFF)):
+        harmed = bytearray(data)
+        harmed[place] ^= flip
+        try:
+            assert Checkpoint.from_bytes(bytes(harmed)).words == {"a": 1}
+        except InputError:
+            refused += 1
+    assert refused > len(data)
+
+
+def test_what_is_packed_or_no_archive_is_no_checkpoint() -> None:
+    """A few bytes could unpack to any number; an array alone, words that are text, words that nest too deeply."""
+    packed, alone, text, deep = (io.BytesIO() for _ in range(4))
+    np.savez_compressed(packed, words=np.frombuffer(b"{}", np.uint8))
+    np.save(alone, np.arange(3))
+    with zipfile.ZipFile(text, "w") as file:
+        file.writestr("words.npy", "{}")
+    np.savez(deep, words=np.frombuffer(b"[" * 100_000, np.uint8))
+    for one in (packed, alone, text, deep):
+        with pytest.raises(InputError, match="checkpoint"):
+            Checkpoint.from_bytes(one.getvalue())
 
 
 def test_checkpoints_ahead_of_a_recovered_journal_make_room_for_new_ones(tmp_path: Path) -> None:

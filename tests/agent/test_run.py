@@ -58,7 +58,8 @@ def launched(running: Set, run: str, name: str = "ddqn-fast", evaluations: int =
 def told(running: Set, run: str) -> list[tuple[int, int, Any, float, str]]:
     """What a run's journal says of its walk: designs, uniformities and weights, lane by lane."""
     journal = RunJournal(running.settings.runs_dir / run)
-    weights = {(one.lane, one.number): one.weights_sha256 for one in journal.learner()}
+    learner = (entry.value for entry in journal.records("/agent"))
+    weights = {(one.lane, one.number): one.weights_sha256 for one in learner}
     rows = [
         (step.lane, step.number, step.design, step.uniformity, weights[step.lane, step.number])
         for step in journal.steps()
@@ -81,7 +82,7 @@ def test_a_campaign_leaves_a_journal_that_says_all(running: Set) -> None:
     journal = RunJournal(running.settings.runs_dir / "one")
     steps = list(journal.steps())
     assert len(steps) == result.found.progress.steps + 8
-    assert len(list(journal.learner())) == result.found.progress.steps
+    assert len(list(journal.records("/agent"))) == result.found.progress.steps
     assert {"model.toml", "campaign.json", "packages.txt", "plan.json"} <= set(journal.attachments())
     assert result.ended.root in (running.settings.runs_dir / "one" / "audit.sha256").read_text()
     assert result.found.best is not None

@@ -29,6 +29,7 @@ from tests.doctor import ill
 from tests.secured_set import free_tls_endpoint
 
 DAY = timedelta(days=1)
+ROOT = Path(__file__).parents[2]
 
 
 def command(*argv: str, cwd: Path) -> subprocess.CompletedProcess[str]:
@@ -85,6 +86,34 @@ class TestASet:
         assert {path.stat().st_mode & 0o777 for path in holds_key} == {0o600}
         folders = [certs, *(path for path in certs.iterdir() if path.is_dir())]
         assert {path.stat().st_mode & 0o777 for path in folders} == {0o700}
+
+    def test_git_ignores_the_set_wherever_it_is_made(self, tmp_path: Path) -> None:
+        """In somebody's repository; a set that is renewed leaves alone what is there."""
+        subprocess.run(["git", "init", "-q", str(tmp_path)], check=True)
+        certs = make(tmp_path / "lab-certs", days=90).folder
+        told = subprocess.run(
+            ["git", "-C", str(tmp_path), "status", "--porcelain", "--untracked-files=all"],
+            capture_output=True, text=True, check=True,
+        )  # fmt: skip
+        assert told.stdout == ""
+        (certs / ".gitignore").write_text("*.pem\n")
+        make(certs, days=90, renew=True)
+        assert (certs / ".gitignore").read_text() == "*.pem\n"
+
+    def test_a_folder_of_which_only_that_is_left_gets_a_set(self, tmp_path: Path, certs: Path) -> None:
+        """A set was moved away by `mv certs/* ...`."""
+        (tmp_path / "away").mkdir()
+        for path in certs.iterdir():
+            if path.name != ".gitignore":
+                path.rename(tmp_path / "away" / path.name)
+        assert make(certs, days=90).what == "made"
+
+    def test_the_clone_of_this_project_ignores_the_default_folder(self) -> None:
+        """And keys in any other."""
+        if not (ROOT / ".git").exists():
+            pytest.skip("no clone")
+        for path in ("certs/ca.key", "certs/router/router.pem", "docker/ca.key"):
+            assert subprocess.run(["git", "-C", str(ROOT), "check-ignore", "-q", path], check=False).returncode == 0
 
     def test_a_clock_that_is_a_little_behind_takes_it(self, certs: Path) -> None:
         """Valid from some minutes ago, for the days asked for."""
@@ -246,14 +275,15 @@ class TestKilled:
 
     def test_a_new_set_is_whole_or_none(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         """Cut after any file there is no ca.pem, so no process starts with it; the next run makes it whole."""
-        for after in range(2 * len(ROLES) + 2):
+        files = 2 * len(ROLES) + 3
+        for after in range(files):
             folder = tmp_path / f"c{after}"
             assert self.cut(folder, after, monkeypatch)
             assert not (folder / "ca.pem").exists()
             make(folder, days=90)
             assert what_it_lacks(folder) == ""
-            assert not list(folder.rglob(".*"))
-        assert not self.cut(tmp_path / "last", 2 * len(ROLES) + 2, monkeypatch)
+            assert list(folder.rglob(".*")) == [folder / ".gitignore"]
+        assert not self.cut(tmp_path / "last", files, monkeypatch)
 
     def test_a_renewed_set_is_whole_at_every_moment(self, certs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         """Cut after any file each role has its old certificate or its new one, with the key that belongs to it."""

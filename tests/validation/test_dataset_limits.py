@@ -88,6 +88,30 @@ def test_rows_beyond_the_most_are_told(folder: Path, monkeypatch: pytest.MonkeyP
     assert (told.field, told.allowed, told.mend) == ("rows", "at most 3 rows", "thin it out")
 
 
+BAD_LINES = {
+    "cells": "x\n",
+    "numbers": "x,x,u,0.5,0.01\n",
+    "polarisation": "440,0,q,0.5,0.01\n",
+    "angle": "440,120,u,0.5,0.01\n",
+    "again": "440,0,u,0.5,0.01\n",
+}
+
+
+@pytest.mark.parametrize("kind", BAD_LINES)
+def test_of_very_many_faults_the_first_are_told(folder: Path, kind: str) -> None:
+    """A thousand of one file, and that there are more; the memory holds no more of them either."""
+    path = folder / "spectra/t.csv"
+    path.write_text(HEADER + "\n" + BAD_LINES[kind] * 3000)
+    faults = tables.spectrum_and_faults(path, "t.csv", "R")[1]
+    assert len(faults) == tables.MAX_FAULTS + 1 == 1001
+    assert (faults[-1].field, faults[-1].value) == ("t.csv: faults", "more than 1,000")
+    write_sums(folder)
+    assert "faults" in [finding.field for finding in check(folder)]
+    far = folder / "far.csv"
+    far.write_text(FAR_FIELD.splitlines()[0] + "\n" + "95,0,1,0\n" * 3000)
+    assert len(tables.far_field_and_faults(far, "far.csv")[1]) == tables.MAX_FAULTS + 1
+
+
 MANY = np.linspace(400.0, 700.0, 10_001)
 TOO_MUCH = {
     "grazing": (np.array([440.0]), np.array([90.0]), "line 2: aoi_deg"),

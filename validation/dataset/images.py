@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from luxloop.errors import InputError
+from validation.dataset.packed import refuse_more_than_declared, segment_bytes
 
 if TYPE_CHECKING:
     import tifffile
@@ -46,12 +47,13 @@ def read_tiff(path: Path, name: str, types: tuple[str, ...] = IMAGE_TYPES) -> Ti
     """The one grey image of a TIFF file; `name` is what errors call the file.
 
     Raises InputError for what is no TIFF, damaged, of several pages, colour, of another type of number, larger than
-    256 MB once unpacked, or packed so that a package is missing, which is named.
+    256 MB once unpacked or than its pixels, or packed so that a package is missing, which is named.
     """
     tifffile = library("reading TIFF")
     try:
         with tifffile.TiffFile(path) as file:
             page = _only_page(file, name, types)
+            refuse_more_than_declared(file, page, name)
             values = page.asarray()
             for_screens = any(tag in page.tags for tag in (TRANSFER_FUNCTION, ICC_PROFILE))
     except InputError:
@@ -96,9 +98,9 @@ def _only_page(file: tifffile.TiffFile, name: str, types: tuple[str, ...]) -> An
     kind_of_number = str(np.dtype(page.dtype)) if page.dtype is not None else f"{page.bitspersample} bits"
     if kind_of_number not in types:
         raise InputError(f"{name}: dtype", kind_of_number, " or ".join(types), WHY_NOT.get(kind_of_number, ""))
-    if page.nbytes > MAX_PIXEL_BYTES:
+    if (size_bytes := max(page.nbytes, segment_bytes(page))) > MAX_PIXEL_BYTES:
         allowed = f"at most {MAX_PIXEL_BYTES >> 20} MB of pixels"
-        raise InputError(f"{name}: size", f"{page.nbytes >> 20} MB", allowed, "crop or bin the image")
+        raise InputError(f"{name}: size", f"{size_bytes >> 20} MB", allowed, "crop or bin the image")
     return page
 
 

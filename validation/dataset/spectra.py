@@ -3,18 +3,18 @@
     wavelength_nm,aoi_deg,polarisation,value,sigma      R, T in [0, 1]; psi, delta in deg, their polarisation empty
     theta_deg,phi_deg,value,sigma                       a far field, its scale free
 
-A table is read whole: every fault of every line is found, and the reader raises the first. Its rows come line by
-line, whatever their order in the file: wavelengths of one polarisation and angle, thetas of one phi. What is left of
-a fit is summed over neighbours.
+A table is read whole: every fault of every line is found, of very many the first; the reader raises the first of all.
+Its rows come line by line, whatever their order in the file: wavelengths of one polarisation and angle, thetas of one
+phi. What is left of a fit is summed over neighbours.
 """
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import islice
+from itertools import chain, islice
 from pathlib import Path
 from typing import Literal
 
@@ -44,6 +44,8 @@ BEYOND_UNITY = 0.05
 PERCENT = 1.5
 """A reflectance or transmittance with a larger value than this is taken for one in percent."""
 MAX_ROWS = 1_000_000
+MAX_FAULTS = 1000
+"""So many of one file are told, and that there are more."""
 
 Quantity = Literal["R", "T", "psi", "delta"]
 Row = Mapping[str, str]
@@ -89,20 +91,19 @@ def read_far_field(path: Path, shot: FarFieldShot) -> FarFieldTable:
 
 def spectrum_and_faults(path: Path, name: str, quantity: Quantity) -> tuple[SpectrumTable | None, Faults]:
     """The spectrum in a file, None where its columns cannot be read, and everything that is wrong with it."""
-    rows, faults = _rows(path, name, SPECTRUM_COLUMNS)
-    numbers = {
-        column: _numbers(rows, column, name, faults) for column in SPECTRUM_COLUMNS if column != "polarisation"
-    }
+    rows, of_form = _rows(path, name, SPECTRUM_COLUMNS)
+    numbers = {column: _numbers(rows, column) for column in SPECTRUM_COLUMNS if column != "polarisation"}
     polarisation = tuple(row["polarisation"].strip() for _, row in rows)
-    allowed = ("",) if quantity in ("psi", "delta") else ("s", "p", "u")
-    for (line, _), one in zip(rows, polarisation, strict=True):
-        if one not in allowed:
-            say = "nothing" if allowed == ("",) else "s, p or u"
-            faults.append(InputError(f"{name}: line {line}: polarisation", one, f"{say} for {quantity}"))
-    faults += _outside(rows, numbers, ("wavelength_nm", "aoi_deg"), name)
-    faults += _too_many_places(numbers, np.array(polarisation), name)
-    faults += _wrong_unit(rows, numbers["value"], numbers["sigma"], quantity, name)
-    faults += _duplicates(rows, ("wavelength_nm", "aoi_deg", "polarisation"), name)
+    faults = _first(
+        name,
+        of_form,
+        *(_no_numbers(rows, column, name) for column in numbers),
+        _wrong_polarisation(rows, polarisation, quantity, name),
+        _outside(rows, numbers, ("wavelength_nm", "aoi_deg"), name),
+        _too_many_places(numbers, np.array(polarisation), name),
+        _wrong_unit(rows, numbers["value"], numbers["sigma"], quantity, name),
+        _duplicates(rows, ("wavelength_nm", "aoi_deg", "polarisation"), name),
+    )
     if not rows or any(not np.isfinite(column).all() for column in numbers.values()):
         return None, faults
     order = np.lexsort((numbers["wavelength_nm"], numbers["aoi_deg"], np.array(polarisation)))
@@ -112,16 +113,29 @@ def spectrum_and_faults(path: Path, name: str, quantity: Quantity) -> tuple[Spec
 
 def far_field_and_faults(path: Path, name: str) -> tuple[FarFieldTable | None, Faults]:
     """The far field in a file, None where its columns cannot be read, and everything that is wrong with it."""
-    rows, faults = _rows(path, name, FAR_FIELD_COLUMNS)
-    numbers = {column: _numbers(rows, column, name, faults) for column in FAR_FIELD_COLUMNS}
-    faults += _outside(rows, numbers, ("theta_deg", "phi_deg"), name)
-    faults += _duplicates(rows, ("theta_deg", "phi_deg"), name)
-    if rows and not (numbers["value"] > 0.0).any():
-        faults.append(InputError(f"{name}: value", "nothing above 0", "an intensity", "was a background subtracted?"))
+    rows, of_form = _rows(path, name, FAR_FIELD_COLUMNS)
+    numbers = {column: _numbers(rows, column) for column in FAR_FIELD_COLUMNS}
+    dark = InputError(f"{name}: value", "nothing above 0", "an intensity", "was a background subtracted?")
+    faults = _first(
+        name,
+        of_form,
+        *(_no_numbers(rows, column, name) for column in numbers),
+        _outside(rows, numbers, ("theta_deg", "phi_deg"), name),
+        _duplicates(rows, ("theta_deg", "phi_deg"), name),
+        [dark] * bool(rows and not (numbers["value"] > 0.0).any()),
+    )
     if not rows or any(not np.isfinite(column).all() for column in numbers.values()):
         return None, faults
     order = np.lexsort((numbers["theta_deg"], numbers["phi_deg"]))
     return FarFieldTable(**{column: values[order] for column, values in numbers.items()}), faults
+
+
+def _first(name: str, *faults: Iterable[InputError]) -> Faults:
+    """The first of all faults of a file; where there are more, one behind them says so."""
+    first = list(islice(chain.from_iterable(faults), MAX_FAULTS + 1))
+    if len(first) > MAX_FAULTS:
+        first[-1] = InputError(f"{name}: faults", f"more than {MAX_FAULTS:,}", "none", "mend these, and check again")
+    return first
 
 
 def _rows(path: Path, name: str, columns: tuple[str, ...]) -> tuple[list[tuple[int, Row]], Faults]:
@@ -149,6 +163,8 @@ def _rows(path: Path, name: str, columns: tuple[str, ...]) -> tuple[list[tuple[i
                 continue
             if len(cells) != len(columns):
                 faults.append(_wrong_count(f"{name}: line {line}", cells, columns))
+                if len(faults) > MAX_FAULTS:
+                    break
                 continue
             if len(rows) == MAX_ROWS:
                 raise InputError(f"{name}: rows", "more", f"at most {MAX_ROWS:,} rows", "thin it out")
@@ -168,24 +184,37 @@ def _wrong_count(where: str, cells: Sequence[str], columns: Sequence[str]) -> In
     return InputError(where, ",".join(cells), f"{len(columns)} values: {','.join(columns)}", mend)
 
 
-def _numbers(rows: Sequence[tuple[int, Row]], column: str, name: str, faults: Faults) -> Real:
-    """A column as numbers, NaN where it has none; what is none, or a sigma not above 0, goes to `faults`."""
-    numbers = np.full(len(rows), np.nan)
-    for at, (line, row) in enumerate(rows):
+def _numbers(rows: Sequence[tuple[int, Row]], column: str) -> Real:
+    """A column as numbers, NaN where it has none."""
+    cells = (_comparable(row[column].strip()) for _, row in rows)
+    return np.array([math.nan if isinstance(cell, str) else cell for cell in cells], np.float64)
+
+
+def _no_numbers(rows: Sequence[tuple[int, Row]], column: str, name: str) -> Iterator[InputError]:
+    """What is no finite number, or a sigma not above 0."""
+    for line, row in rows:
         cell = row[column].strip()
-        try:
-            numbers[at] = float(cell)
-        except ValueError:
+        number = _comparable(cell)
+        if isinstance(number, str):
             comma = re.fullmatch(r"[-+]?\d+,\d+", cell)
             mend = "a decimal comma: write a point" if comma else "remove the row, or fill it in"
-            faults.append(InputError(f"{name}: line {line}: {column}", cell, "a number", mend))
-            continue
-        if not math.isfinite(numbers[at]):
-            faults.append(InputError(f"{name}: line {line}: {column}", cell, "a finite number", "remove the row"))
-        elif column == "sigma" and numbers[at] <= 0.0:
+            yield InputError(f"{name}: line {line}: {column}", cell, "a number", mend)
+        elif not math.isfinite(number):
+            yield InputError(f"{name}: line {line}: {column}", cell, "a finite number", "remove the row")
+        elif column == "sigma" and number <= 0.0:
             mend = "give the standard deviation of the value; repeat the measurement to learn it"
-            faults.append(InputError(f"{name}: line {line}: sigma", float(numbers[at]), "above 0", mend))
-    return numbers
+            yield InputError(f"{name}: line {line}: sigma", number, "above 0", mend)
+
+
+def _wrong_polarisation(
+    rows: Sequence[tuple[int, Row]], polarisation: Sequence[str], quantity: Quantity, name: str
+) -> Iterator[InputError]:
+    """Polarisations that the quantity has not."""
+    allowed = ("",) if quantity in ("psi", "delta") else ("s", "p", "u")
+    for (line, _), one in zip(rows, polarisation, strict=True):
+        if one not in allowed:
+            say = "nothing" if allowed == ("",) else "s, p or u"
+            yield InputError(f"{name}: line {line}: polarisation", one, f"{say} for {quantity}")
 
 
 def _outside(
@@ -257,7 +286,10 @@ def _duplicates(rows: Sequence[tuple[int, Row]], columns: tuple[str, ...], name:
 
 
 def _comparable(cell: str, column: str) -> float | str:
-    """The number in a cell; phi within one turn. A goniometer passes theta 0 in every plane: that is no duplicate."""
+    """A cell's number, phi within one turn; the cell where it has none.
+
+    A goniometer passes theta 0 in every plane: that is no duplicate.
+    """
     try:
         return round(float(cell) % 360.0, 9) % 360.0 if column == "phi_deg" else float(cell)
     except ValueError:

@@ -63,11 +63,10 @@ def test_words_come_back_as_words(tmp_path: Path) -> None:
     write_run(tmp_path, 3)
     journal = RunJournal(tmp_path)
     assert list(journal.steps()) == [a_step(number, 0.5 + 0.01 * number) for number in range(3)]
-    assert [(learner.run, learner.number, learner.q) for learner in journal.learner()] == [
-        (RUN, n, 0.5) for n in range(3)
-    ]
-    for number, found in journal.maps():
-        np.testing.assert_array_equal(found, a_map(number))
+    learner = [entry.value for entry in journal.records("/agent")]
+    assert [(one.run, one.number, one.q) for one in learner] == [(RUN, n, 0.5) for n in range(3)]
+    for entry in journal.records("/map/sim"):
+        np.testing.assert_array_equal(entry.value, a_map(entry.sequence))
     assert [entry.value.message for entry in journal.records("/log")] == [f"step {n}: µ-LED" for n in range(3)]
     (request,) = journal.last("/request/ray", 1)
     assert request.value.inputs["seed"] == "9007199254740993"
@@ -315,7 +314,7 @@ def test_damage_in_a_finished_segment_is_said_with_its_file(tmp_path: Path) -> N
     raw = bytearray(path.read_bytes())
     index = SegmentReader(path).index
     assert index is not None
-    raw[index.chunk_indexes[2].chunk_start_offset + 200] ^= 4
+    raw[index["ChunkIndex"][2].chunk_start_offset + 200] ^= 4
     path.write_bytes(raw)
     with pytest.raises(LuxloopError, match=r"audit-0001.mcap: damaged"):
         messages(tmp_path)
