@@ -186,7 +186,7 @@ def _wrong_count(where: str, cells: Sequence[str], columns: Sequence[str]) -> In
 
 def _numbers(rows: Sequence[tuple[int, Row]], column: str) -> Real:
     """A column as numbers, NaN where it has none."""
-    cells = (_comparable(row[column].strip()) for _, row in rows)
+    cells = (_number(row[column].strip()) for _, row in rows)
     return np.array([math.nan if isinstance(cell, str) else cell for cell in cells], np.float64)
 
 
@@ -194,7 +194,7 @@ def _no_numbers(rows: Sequence[tuple[int, Row]], column: str, name: str) -> Iter
     """What is no finite number, or a sigma not above 0."""
     for line, row in rows:
         cell = row[column].strip()
-        number = _comparable(cell)
+        number = _number(cell)
         if isinstance(number, str):
             comma = re.fullmatch(r"[-+]?\d+,\d+", cell)
             mend = "a decimal comma: write a point" if comma else "remove the row, or fill it in"
@@ -286,11 +286,16 @@ def _duplicates(rows: Sequence[tuple[int, Row]], columns: tuple[str, ...], name:
 
 
 def _comparable(cell: str, column: str) -> float | str:
-    """A cell's number, phi within one turn; the cell where it has none.
+    """A cell's number, phi within one turn. A goniometer passes theta 0 in every plane: that is no duplicate."""
+    number = _number(cell)
+    if isinstance(number, str) or column != "phi_deg":
+        return number
+    return round(number % 360.0, 9) % 360.0
 
-    A goniometer passes theta 0 in every plane: that is no duplicate.
-    """
+
+def _number(cell: str) -> float | str:
+    """A cell's number; the cell where it has none."""
     try:
-        return round(float(cell) % 360.0, 9) % 360.0 if column == "phi_deg" else float(cell)
+        return float(cell)
     except ValueError:
         return cell
