@@ -34,7 +34,7 @@ class Stop(Words):
     )
     time_s: float | None = Field(None, gt=0.0, le=1e7, description="Seconds since the first action; none: no limit.")
     episodes_without_gain: int | None = Field(
-        None, ge=1, le=10**6, description="Episodes without a gain above twice its error; none: no limit."
+        None, ge=1, le=10**6, description="Episodes that ended without a gain above twice its error; none: no limit."
     )
 
     @property

@@ -146,6 +146,22 @@ def test_a_slow_climb_is_no_saturation() -> None:
     assert found(Flat(), evaluations=250, episodes_without_gain=5)[0].reason.startswith("saturation")
 
 
+def test_only_episodes_that_are_over_count_as_quiet() -> None:
+    """The best design comes first: with four lanes, three episodes have ended without a gain before the walk ends."""
+
+    class BestFirst(Door):
+        def act(self, action: Action) -> Step:
+            seen = 0.9 if (action.lane, action.number) == (0, 0) else 0.5
+            return super().act(action).model_copy(update={"uniformity": seen, "uniformity_error": 0.009})
+
+    door = BestFirst()
+    result, _ = found(door, lanes=4, evaluations=250, episodes_without_gain=3)
+    begun = [[a.agent.episode for a in door.actions if a.agent and a.lane == lane] for lane in range(4)]
+    over = {episode for episodes in begun for episode in episodes if episode != episodes[-1]}
+    assert len(over - {0}) >= 3, "episode 0 has the gain"
+    assert result.reason == "saturation: no gain above twice its error in 3 episodes"
+
+
 def test_a_grid_ends_when_all_of_it_was_seen() -> None:
     """Every design that can be built, once."""
     bounds = BOUNDS.model_copy(update={"step": Design.from_vector((80.0, 45.0, 200.0, 25.0, 2.5))})
