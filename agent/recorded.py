@@ -154,6 +154,15 @@ def has_episodes(walk: Iterable[Told]) -> bool:
     return any(told.agent is not None and told.agent.episode > 0 for told in walk)
 
 
+def wall_s(told: Iterable[Told]) -> float:
+    """For how long the run had something under way: pauses between its starts do not count."""
+    total_ns = reached_ns = 0
+    for one in sorted(told, key=lambda one: one.time_ns):
+        begun_ns = max(reached_ns, one.time_ns - round(one.step.controller_s * 1e9))
+        total_ns, reached_ns = total_ns + one.time_ns - begun_ns, one.time_ns
+    return total_ns / 1e9
+
+
 def _named(tasks: Collection[str], data: bytes) -> Iterator[str]:
     """The tasks that a record speaks of: looked for in its bytes, since decoding thousands takes seconds."""
     return (task for task in tasks if task.encode() in data)

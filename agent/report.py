@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.moves import key_of
-from agent.recorded import Details, Document, Recorded, Told, details, distinct, has_episodes, recorded
+from agent.recorded import Details, Document, Recorded, Told, details, distinct, has_episodes, recorded, wall_s
 from agent.report_arrays import Arrays, episode_arrays, line_of, pareto_arrays, walk_arrays
 from agent.report_numbers import difference, estimate, grid_of
 from luxloop.campaign import REWARDS, Plan, Role, Step
@@ -241,14 +241,13 @@ def _counts(told: Sequence[Told], walk: Sequence[Told], designs: Sequence[Told])
 
 
 def _times(run: Recorded, walk: Sequence[Told]) -> Document:
-    """When, how long, and how long the workers computed, of the walk and of all."""
+    """When, how long without pauses, and how long the workers computed, of the walk and of all."""
     last_ns = max((told.time_ns for told in run.told), default=0)
-    walked_ns = max((told.time_ns for told in walk), default=0)
     return {
         "first_utc": _utc(run.begun_ns),
         "last_utc": _utc(last_ns),
-        "walk_s": (walked_ns - run.begun_ns) / 1e9 if walk else 0.0,
-        "wall_s": (last_ns - run.begun_ns) / 1e9,
+        "walk_s": wall_s(walk),
+        "wall_s": wall_s(run.told),
         "walk_physics_s": sum(told.step.physics_s for told in walk),
         "physics_s": sum(told.step.physics_s for told in run.told),
     }

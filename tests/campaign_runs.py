@@ -80,7 +80,7 @@ class RunOnDisk:
         run, files = opening(begin)
         environment = {"python": "3.11.7", "numpy": "2.4.6", "cores": "2"}
         self.journal = Journal(folder, {"run": run, "environment": environment}, files)
-        self.sequence = 0
+        self.sequence = self.paused_ns = 0
         self.numbers: dict[int, int] = {}
 
     def evaluated(
@@ -157,7 +157,7 @@ class RunOnDisk:
         self.sequence += 1
 
     def _now_ns(self) -> int:
-        return BEGUN_NS + (self.sequence + 1) * SECOND_NS
+        return BEGUN_NS + (self.sequence + 1) * SECOND_NS + self.paused_ns
 
 
 def metrics_of(uniformity: float, error: float) -> dict[str, Any]:

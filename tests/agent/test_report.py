@@ -202,6 +202,19 @@ def test_a_killed_run_shows_the_best_of_its_walk(tmp_path: Path) -> None:
     assert arrays["best_map_lx"].shape == (32, 32)
 
 
+def test_the_night_between_two_starts_is_no_time_of_the_run(tmp_path: Path) -> None:
+    """Three steps of the walk and a final one, 0.6 s each, with eight hours after the first: 1.8 s, 2.4 s."""
+    run = RunOnDisk(tmp_path / "trial")
+    run.evaluated(START, 0.7)
+    run.paused_ns = 8 * 3600 * campaign_runs.SECOND_NS
+    run.evaluated(WIDE, 0.8)
+    run.evaluated(START, 0.7)
+    run.evaluated(WIDE, 0.8, seed="1")
+    run.finish()
+    times = document_of(tmp_path / "trial")[0]["times"]
+    assert (times["walk_s"], times["wall_s"]) == pytest.approx((1.8, 2.4))
+
+
 def test_a_run_of_failures_alone_has_no_best(tmp_path: Path) -> None:
     """Steps that failed or cannot be built are counted, and never the best."""
     run = RunOnDisk(tmp_path / "trial")
