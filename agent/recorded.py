@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import shlex
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,6 +16,7 @@ from agent.moves import key_of
 from luxloop.campaign import AgentRecord, Plan, Step
 from luxloop.errors import InputError
 from luxloop.journal.reader import RunJournal
+from luxloop.journal.scan import Scan
 from luxloop.journal.topics import CHAIN, Close
 
 Document = dict[str, Any]
@@ -38,9 +41,9 @@ class Told:
 class Recorded:
     """A run as its journal has it.
 
-    `notes` are the results that designers put on record, `lines` its log, `close` why it was closed (None where it
-    goes on, or was killed), `state` finished, being written, or not finished; `records` and `root` of the chain at
-    the last commit.
+    `notes` are the results that designers put on record, `lines` its log, `command_lines` those of its starts, the
+    first one first, `close` why it was closed (None where it goes on, or was killed), `state` finished, being
+    written, or not finished; `records` and `root` of the chain at the last commit.
     """
 
     folder: Path
@@ -51,6 +54,7 @@ class Recorded:
     told: list[Told]
     notes: list[Document]
     lines: list[str]
+    command_lines: list[str]
     close: Close | None
     state: str
     records: int
@@ -115,6 +119,7 @@ def recorded(folder: Path) -> Recorded:
         told=told,
         notes=notes,
         lines=lines,
+        command_lines=list(_command_lines(journal)),
         close=journal.close,
         state="finished" if finished else "being written" if journal.being_written else "not finished",
         records=chain[0].records if chain else 0,
@@ -161,6 +166,27 @@ def wall_s(told: Iterable[Told]) -> float:
         begun_ns = max(reached_ns, one.time_ns - round(one.step.controller_s * 1e9))
         total_ns, reached_ns = total_ns + one.time_ns - begun_ns, one.time_ns
     return total_ns / 1e9
+
+
+def _command_lines(journal: RunJournal) -> Iterator[str]:
+    """What the run was begun by, then what it was gone on with by; a controller's new start is none."""
+    designer = None
+    for run in _openings(journal):
+        argv = json.loads(run.get("facts") or "{}").get("argv")
+        if argv and run.get("designer") != designer:
+            designer = run.get("designer")
+            yield shlex.join(["luxloop", *map(str, argv)])
+
+
+def _openings(journal: RunJournal) -> Iterator[dict[str, str]]:
+    """The facts of each start; a segment that others were merged into has several, which its index does not tell."""
+    for segment in journal.segments:
+        index = segment.index
+        if index is None or sum(place.name == "run" for place in index.metadata_indexes) == 1:
+            yield segment.opening[0].get("run", {})
+        else:
+            links = (link for commit in Scan(segment.path) for link in commit.links)
+            yield from (json.loads(link.data) for link in links if link.topic == "metadata/run")
 
 
 def _named(tasks: Collection[str], data: bytes) -> Iterator[str]:

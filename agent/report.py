@@ -204,7 +204,6 @@ def _provenance(run: Recorded) -> Document:
     facts = json.loads(run.facts.get("facts") or "{}")
     model = Model(name="of the run", environment=plan.environment, effects=plan.effects)
     settings = json.loads(run.attachments[SETTINGS]) if SETTINGS in run.attachments else {}
-    argv = facts.get("argv")
     return {
         "run": plan.run,
         "kind": plan.kind,
@@ -213,7 +212,8 @@ def _provenance(run: Recorded) -> Document:
         "ended": run.close.reason if run.close else "",
         "designer": str(facts.get("designer", "")),
         "seed": facts.get("seed"),
-        "command_line": shlex.join(["luxloop", *map(str, argv)]) if argv else "",
+        "command_line": next(iter(run.command_lines), ""),
+        "later_command_lines": run.command_lines[1:],
         "model": {"name": plan.model, "sha256": model.sha256, "effects": [effect.name for effect in plan.effects]},
         "plan": plan.model_dump(mode="json"),
         "reward": {"name": plan.reward, "formula": REWARDS[plan.reward]},

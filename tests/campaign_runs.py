@@ -72,11 +72,13 @@ def map_of(design: Design, bins: int = 32) -> NDArray[np.float64]:
 class RunOnDisk:
     """Writes a run's journal step by step; `finish` ends it, `close` leaves it as a killed process would."""
 
-    def __init__(self, folder: Path, plan: Plan | None = None) -> None:
+    def __init__(
+        self, folder: Path, plan: Plan | None = None, argv: Sequence[str] = ARGV, designer: str = "1-test"
+    ) -> None:
         self.plan = plan or plan_of(folder.name)
-        facts = {"argv": ARGV, "designer": "ddqn-fast", "seed": "7"}
+        facts = {"argv": [*argv], "designer": "ddqn-fast", "seed": "7"}
         attachments = {"campaign.json": json.dumps({"designer": "ddqn-fast", "seed": 7})}
-        begin = Begin(plan=self.plan, designer="1-test", facts=facts, attachments=attachments)
+        begin = Begin(plan=self.plan, designer=designer, facts=facts, attachments=attachments)
         run, files = opening(begin)
         environment = {"python": "3.11.7", "numpy": "2.4.6", "cores": "2"}
         self.journal = Journal(folder, {"run": run, "environment": environment}, files)

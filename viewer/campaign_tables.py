@@ -195,6 +195,9 @@ def provenance(document: Document) -> Iterator[str]:
     if document["command_line"]:
         yield paragraph("The run was made by:")
         yield html.code(document["command_line"])
+    if document["later_command_lines"]:
+        yield paragraph("It was interrupted, and gone on with by:")
+        yield html.code("\n".join(document["later_command_lines"]))
     yield paragraph("This page, and the check that the journal is what was written:")
     verify = f"luxloop audit verify {document['run']} --root {chain['root']} --records {chain['records']}"
     yield html.code(f"{shlex.join(document['report_command'])}\n{verify}")
