@@ -21,7 +21,7 @@ BoundsName = Annotated[str | None, typer.Option("--bounds", help="paper-table3 (
 Evaluations = Annotated[int | None, typer.Option(help="Different designs to evaluate at most; default 200.")]
 TimeLimit = Annotated[float | None, typer.Option("--time", help="Seconds after which the walk ends.")]
 Saturation = Annotated[
-    int | None, typer.Option(help="End when so many episodes have ended without a gain above twice its error.")
+    int | None, typer.Option(help="Learners: end when so many episodes ended without a gain above twice its error.")
 ]
 RewardOption = Annotated[
     RewardName | None, typer.Option("--reward", help="r1, r2, r3 as the paper has them, or gain.")

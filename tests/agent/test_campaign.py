@@ -11,12 +11,12 @@ from typing import Any
 
 import pytest
 
-from agent import designers_command
+from agent import campaign_command, designers_command
 from agent.campaign import Runner, fresh_seed
 from agent.comparison import Trial, compare, rows
 from agent.config import Campaign, Stop, read_campaign
 from agent.ddqn import Learning
-from agent.designers import designer
+from agent.designers import SEARCHES, designer
 from agent.launch import Launched
 from agent.moves import Space
 from agent.progress import Found, Progress
@@ -306,6 +306,9 @@ def test_a_plan_says_what_the_controller_must_know() -> None:
         ("designer = 'ddqn-paper'\n[learning]\npatience = 5", "learning.patience"),
         ("[learning]\nrestart = 'start'", "learning.restart"),
         ("[learning]\nreplay = 16", "learning.batch"),
+        ("method = 'twin'\nwalk_error_points = 1.0", "walk_error_points"),
+        ("twin_histories = 4096", "twin_histories"),
+        *((f"designer = '{name}'\n[stop]\nepisodes_without_gain = 3", "episodes_without_gain") for name in SEARCHES),
         ("bounds = 'none'", "bounds"),
         ("lanes = ", "campaign.toml: line 1"),
         (f"lanes = {'7' * 5000}", "campaign.toml: line 1"),
@@ -366,6 +369,18 @@ def test_a_run_on_record_is_what_it_was() -> None:
     learning = Learning(patience=5)
     recorded = Campaign(designer="ddqn-fast-random", learning=learning).model_dump(mode="json")
     assert Campaign.model_validate(recorded).learner == learning
+    idle = Campaign(designer="grid", method="twin", walk_error_points=2.0, stop=Stop(episodes_without_gain=3))
+    assert Campaign.model_validate(idle.model_dump(mode="json")) == idle
+
+
+@pytest.mark.parametrize("option", [{"evaluations": 0}, {"time_s": 0.0}])
+def test_a_quick_campaign_takes_no_nought_for_nothing_said(
+    option: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is refused, as without --quick."""
+    monkeypatch.setattr(campaign_command, "_launched", lambda *_: pytest.fail("a campaign was begun"))
+    with pytest.raises(InputError, match=next(iter(option))):
+        campaign_command.run(quick=True, **option)
 
 
 @pytest.mark.parametrize("changes", [{"learning": Learning(profile="fast")}, {"reward": "r2"}])
