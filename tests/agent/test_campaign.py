@@ -6,6 +6,7 @@ import random
 import threading
 import time
 from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from agent.config import Campaign, Stop, read_campaign
 from agent.ddqn import Learning
 from agent.designers import SEARCHES, designer
 from agent.launch import Launched
-from agent.moves import Space
+from agent.moves import Space, key_of
 from agent.progress import Found, Progress
 from agent.telling import as_text
 from luxloop.campaign import Action, Ended, Step
@@ -246,7 +247,7 @@ def test_a_best_that_failed_is_told_as_the_best_finalist() -> None:
     assert not document["best"]["failure"]
     assert "once more, it failed" in text_of(result)
     assert "gained       +" in text_of(result)
-    (row,) = rows([Trial("a", 1, (0.5,), 1, result)])
+    (row,) = rows([trial_of("a", result)])
     assert row["best_worst"] == row["best_of_all"] == result.finalists[0].uniformity
 
 
@@ -260,8 +261,36 @@ def test_what_failed_is_no_number(roles: tuple[str, ...]) -> None:
     if "best" in roles:
         assert "best   " not in text
         assert "finalist 1   failed" in text
-        (row,) = rows([Trial("a", 1, (0.5,), 1, result)])
+        (row,) = rows([trial_of("a", result)])
         assert row["best_median"] is None
+        assert (row["near"], row["best_of_all"]) == (0, None)
+        assert "near:" not in "\n".join(designers_command.as_text([row]))
+
+
+def trial_of(designer: str, result: Found, *designs: Design) -> Trial:
+    """A run of a comparison; its walk met these designs, then its best."""
+    met = [*designs, *([result.sound_best.design] if result.sound_best else [])]
+    return Trial(designer, 1, tuple(key_of(design) for design in met), 1, result)
+
+
+def test_near_is_judged_by_what_was_evaluated_anew() -> None:
+    """Two runs with the same optimum, 99.0 and 99.1 +- 0.3 %, are both near, whatever the walks saw; 97.0 is not."""
+    result, _ = found(Door(), evaluations=12)
+    assert result.best is not None
+    others = [step.design for step in result.finalists[1:]]
+
+    def came_to(uniformity: float) -> Found:
+        best = result.best.model_copy(update={"uniformity": uniformity, "uniformity_error": 0.003})  # type: ignore[union-attr]  # it has one
+        return replace(result, best=best)
+
+    one, two, far = rows([
+        trial_of("a", came_to(0.990), *others[:2]), trial_of("b", came_to(0.991), *others),
+        trial_of("c", came_to(0.970)),
+    ])  # fmt: skip
+    assert [(row["near"], row["evaluations_to_near"]) for row in (one, two, far)] == [(1, 3), (1, 5), (0, None)]
+    assert (far["best_of_all"], far["best_of_all_error"]) == (0.991, 0.003)
+    last = "\n".join(designers_command.as_text([one, two, far]))
+    assert "within 0.5 points and twice the combined error of the best of all, 99.10 +- 0.30 %" in last
 
 
 def test_a_door_that_breaks_ends_the_campaign_with_its_error() -> None:
