@@ -197,7 +197,7 @@ class Runner:
             return f"steps: {seen.steps}, of {seen.evaluations} designs"
         if stop.time_s is not None and seen.wall_s >= stop.time_s and seen.steps > self._past.steps:
             return f"time: {seen.wall_s:.0f} s"
-        quiet = seen.episodes - seen.gained_episode
+        quiet = seen.episodes - self._lanes - seen.gained_episode  # so many are over: a lane has but one under way
         if stop.episodes_without_gain is not None and quiet >= stop.episodes_without_gain:
             return f"saturation: no gain above twice its error in {quiet} episodes"
         return ""

@@ -67,7 +67,8 @@ def run(
 ) -> None:
     """Let a designer look for the most uniform backlight; every step is on record, the best are evaluated anew."""
     if quick:
-        evaluations, time_s = evaluations or QUICK_EVALUATIONS, time_s or QUICK_TIME_S
+        evaluations = QUICK_EVALUATIONS if evaluations is None else evaluations
+        time_s = QUICK_TIME_S if time_s is None else time_s
     settings = load_settings(router=router, runs=runs)
     campaign = _campaign(
         config, designer=designer, bounds=bounds, reward=reward, method=method, walk_error_points=walk_error,

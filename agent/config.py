@@ -34,7 +34,7 @@ class Stop(Words):
     )
     time_s: float | None = Field(None, gt=0.0, le=1e7, description="Seconds since the first action; none: no limit.")
     episodes_without_gain: int | None = Field(
-        None, ge=1, le=10**6, description="Episodes without a gain above twice its error; none: no limit."
+        None, ge=1, le=10**6, description="Episodes that ended without a gain above twice its error; none: no limit."
     )
 
     @property
@@ -133,6 +133,7 @@ def read_campaign(path: Path | None, **given: Any) -> Campaign:
     campaign = parse(Campaign, plain, where)
     if campaign.learning is not None:
         _refuse_unmeant(campaign, campaign.learning, f"{where}: learning")
+    _refuse_idle(campaign, where)
     return campaign
 
 
@@ -140,6 +141,20 @@ def _over(preset: Learning, own: dict[str, Any]) -> dict[str, Any]:
     """A preset with settings of one's own over it; another rule of restart leaves the preset's patience behind."""
     patience = {} if own.get("restart", preset.restart) == preset.restart else {"patience": None}
     return preset.model_dump() | patience | own
+
+
+def _refuse_idle(campaign: Campaign, where: str) -> None:
+    """InputError for what a person asks for beside a method or a designer that does not look at it."""
+    idle, acting, method = "twin_histories", "walk_error_points", "twin"
+    if campaign.method == "twin":
+        idle, acting, method = acting, idle, "monte_carlo"
+    if idle in campaign.model_fields_set:
+        mend = f"leave it out: {acting} says how exact this walk is"
+        raise InputError(f"{where}: {idle}", getattr(campaign, idle), f'with method = "{method}" only', mend)
+    quiet = campaign.stop.episodes_without_gain
+    if quiet is not None and campaign.designer in SEARCHES:
+        mend = f"leave it out: {campaign.designer} has no episodes"
+        raise InputError(f"{where}: stop.episodes_without_gain", quiet, "with a learner (ddqn-...) only", mend)
 
 
 def _refuse_unmeant(campaign: Campaign, learning: Learning, where: str) -> None:

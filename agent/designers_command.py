@@ -112,7 +112,10 @@ def as_text(table: list[dict[str, Any]]) -> list[str]:
             f"{row['designer']:18} {row['runs']:>4} {best[0]:>15} {best[1]:>7} {best[2]:>7}"
             f" {row['near']:>3} of {row['runs']:<2}{near:>6} {row['wall_s']:>6.0f}"
         )
-    if table:
-        target = f"{100.0 * table[0]['target']:.2f} %"
-        lines.append(f"near: a design of the walk within 0.5 points of the best of all walks, {target}")
+    if table and table[0]["best_of_all"] is not None:
+        top = " +- ".join(f"{100.0 * table[0][name]:.2f}" for name in ("best_of_all", "best_of_all_error"))
+        lines.append(
+            "near: the best, evaluated anew, is within 0.5 points and twice the combined error of the best of all,"
+            f" {top} %; to near: evaluations until the walk met it"
+        )
     return lines

@@ -179,14 +179,14 @@ def follow_run(folder: Path, *, as_json: bool, show: bool) -> None:
     write.status("end", overview(folder))
 
 
-def follow_replay(settings: Settings, source: str, *, as_json: bool, show: bool) -> None:
+def follow_replay(settings: Settings, source: str, *, as_json: bool, show: bool, say: bool) -> None:
     """Tell every step of the replay `replay/<run>` as it is played; waits for a router and a player to come.
 
-    Raises InputError where `source` names no replay.
+    `say` tells on stderr what is waited for. Raises InputError where `source` names no replay.
     """
     run = name_of(source)
-    say = _say if not as_json else lambda _: None
-    say(f"waiting for a replay of {run} at {settings.router}: luxloop audit replay {run} --level 5")
+    if say:
+        _say(f"waiting for a replay of {run} at {settings.router}: luxloop audit replay {run} --level 5")
     write, seen = Writer(as_json), Seen()
     with _joined(settings) as bus, live(show, source, 0, None) as look:
         listener = Listener(bus, settings.realm, run)

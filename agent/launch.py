@@ -23,7 +23,7 @@ from agent.designers import designer
 from agent.effects_tried import EffectsKept, roomiest, sources, try_effects
 from agent.in_words import plain
 from agent.live import live
-from agent.moves import Space
+from agent.moves import Key, Space
 from agent.progress import WALK, Found, Past, Progress
 from luxloop import __version__
 from luxloop.bus import Interrupt
@@ -50,8 +50,8 @@ class Launched:
     found: Found
     ended: Ended
     interrupted: bool
-    walk: tuple[float, ...] = ()
-    """Uniformities of the walk's designs, in the order in which they were told."""
+    walk: tuple[Key, ...] = ()
+    """The walk's designs, in the order in which they were told."""
 
     def document(self) -> dict[str, Any]:
         """As one object for machines."""
@@ -126,7 +126,7 @@ class Start:
                 door.note(result=found.summary())
             elif runner.progress.stage == WALK:
                 checkpoints.save(runner)
-            walk = tuple(runner.designer.known.uniformity.values())
+            walk = tuple(runner.designer.known.uniformity)
             stopped = found.reason == INTERRUPTED
             return Launched(plan.run, found, door.end(found.reason, complete=not stopped), stopped, walk)
 

@@ -21,7 +21,7 @@ BoundsName = Annotated[str | None, typer.Option("--bounds", help="paper-table3 (
 Evaluations = Annotated[int | None, typer.Option(help="Different designs to evaluate at most; default 200.")]
 TimeLimit = Annotated[float | None, typer.Option("--time", help="Seconds after which the walk ends.")]
 Saturation = Annotated[
-    int | None, typer.Option(help="End after so many episodes without a gain above twice its error.")
+    int | None, typer.Option(help="Learners: end when so many episodes ended without a gain above twice its error.")
 ]
 RewardOption = Annotated[
     RewardName | None, typer.Option("--reward", help="r1, r2, r3 as the paper has them, or gain.")
@@ -35,4 +35,4 @@ NoLocal = Annotated[bool, typer.Option("--no-local", help="Use a running set onl
 Runs = Annotated[Path | None, typer.Option(help="Folder of runs (else LUXLOOP_RUNS, else ./runs).")]
 Router = Annotated[str | None, typer.Option(help="Endpoint of the router (else LUXLOOP_ROUTER).")]
 Json = Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")]
-Quiet = Annotated[bool, typer.Option("--quiet", help="Say nothing on stderr but errors.")]
+Quiet = Annotated[bool, typer.Option("--quiet", help="Say nothing on stderr but errors and warnings.")]

@@ -16,6 +16,7 @@ from agent.moves import key_of
 from luxloop.campaign import AgentRecord, Plan, Step
 from luxloop.errors import InputError
 from luxloop.journal.reader import RunJournal
+from luxloop.journal.scan import Scan
 from luxloop.journal.topics import CHAIN, Close
 
 Document = dict[str, Any]
@@ -40,9 +41,9 @@ class Told:
 class Recorded:
     """A run as its journal has it.
 
-    `notes` are the results that designers put on record, `lines` its log, `close` why it was closed (None where it
-    goes on, or was killed), `state` finished, being written, or not finished; `records` and `root` of the chain at
-    the last commit.
+    `notes` are the results that designers put on record, `lines` its log, `command_lines` those of its starts, the
+    first one first, `close` why it was closed (None where it goes on, or was killed), `state` finished, being
+    written, or not finished; `records` and `root` of the chain at the last commit.
     """
 
     folder: Path
@@ -53,6 +54,7 @@ class Recorded:
     told: list[Told]
     notes: list[Document]
     lines: list[str]
+    command_lines: list[str]
     close: Close | None
     state: str
     records: int
@@ -117,6 +119,7 @@ def recorded(folder: Path) -> Recorded:
         told=told,
         notes=notes,
         lines=lines,
+        command_lines=list(_command_lines(journal)),
         close=journal.close,
         state="finished" if finished else "being written" if journal.being_written else "not finished",
         records=chain[0].records if chain else 0,
@@ -173,6 +176,36 @@ def distinct(walk: Iterable[Told]) -> list[Told]:
 def has_episodes(walk: Iterable[Told]) -> bool:
     """Whether the designer counts episodes: a search knows but one."""
     return any(told.agent is not None and told.agent.episode > 0 for told in walk)
+
+
+def wall_s(told: Iterable[Told]) -> float:
+    """For how long the run had something under way: pauses between its starts do not count."""
+    total_ns = reached_ns = 0
+    for one in sorted(told, key=lambda one: one.time_ns):
+        begun_ns = max(reached_ns, one.time_ns - round(one.step.controller_s * 1e9))
+        total_ns, reached_ns = total_ns + one.time_ns - begun_ns, one.time_ns
+    return total_ns / 1e9
+
+
+def _command_lines(journal: RunJournal) -> Iterator[str]:
+    """What the run was begun by, then what it was gone on with by; a controller's new start is none."""
+    designer = None
+    for run in _openings(journal):
+        line = begun_by(object_in(run.get("facts") or "{}", "facts"))
+        if line and run.get("designer") != designer:
+            designer = run.get("designer")
+            yield line
+
+
+def _openings(journal: RunJournal) -> Iterator[dict[str, str]]:
+    """The facts of each start; a segment that others were merged into has several, which its index does not tell."""
+    for segment in journal.segments:
+        index = segment.index
+        if index is None or sum(place.name == "run" for place in index["MetadataIndex"]) == 1:
+            yield segment.opening[0].get("run", {})
+        else:
+            links = (link for commit in Scan(segment.path) for link in commit.links)
+            yield from (json.loads(link.data) for link in links if link.topic == "metadata/run")
 
 
 def _named(tasks: Collection[str], data: bytes) -> Iterator[str]:

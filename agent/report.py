@@ -24,12 +24,12 @@ from agent.recorded import (
     Document,
     Recorded,
     Told,
-    begun_by,
     details,
     distinct,
     has_episodes,
     object_in,
     recorded,
+    wall_s,
 )
 from agent.report_arrays import Arrays, episode_arrays, line_of, pareto_arrays, walk_arrays
 from agent.report_numbers import difference, estimate, grid_of
@@ -222,7 +222,8 @@ def _provenance(run: Recorded) -> Document:
         "ended": run.close.reason if run.close else "",
         "designer": str(facts.get("designer", "")),
         "seed": facts.get("seed"),
-        "command_line": begun_by(facts),
+        "command_line": next(iter(run.command_lines), ""),
+        "later_command_lines": run.command_lines[1:],
         "model": {"name": plan.model, "sha256": model.sha256, "effects": [effect.name for effect in plan.effects]},
         "plan": plan.model_dump(mode="json"),
         "reward": {"name": plan.reward, "formula": REWARDS[plan.reward]},
@@ -250,14 +251,13 @@ def _counts(told: Sequence[Told], walk: Sequence[Told], designs: Sequence[Told])
 
 
 def _times(run: Recorded, walk: Sequence[Told]) -> Document:
-    """When, how long, and how long the workers computed, of the walk and of all."""
+    """When, how long without pauses, and how long the workers computed, of the walk and of all."""
     last_ns = max((told.time_ns for told in run.told), default=0)
-    walked_ns = max((told.time_ns for told in walk), default=0)
     return {
         "first_utc": _utc(run.begun_ns),
         "last_utc": _utc(last_ns),
-        "walk_s": (walked_ns - run.begun_ns) / 1e9 if walk else 0.0,
-        "wall_s": (last_ns - run.begun_ns) / 1e9,
+        "walk_s": wall_s(walk),
+        "wall_s": wall_s(run.told),
         "walk_physics_s": sum(told.step.physics_s for told in walk),
         "physics_s": sum(told.step.physics_s for told in run.told),
     }

@@ -6,13 +6,12 @@ walks on. Steps that are on record come back as they were, so the run ends as if
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from pathlib import Path
 
 from agent.config import Campaign
 from agent.launch import Launched, Start, warn
 from agent.progress import Past, WalkEnd
-from agent.recorded import Recorded, Told, recorded
+from agent.recorded import Recorded, recorded, wall_s
 from luxloop import __version__
 from luxloop.errors import InputError
 from luxloop.journal.reader import RunJournal
@@ -93,12 +92,3 @@ def refuse_changed(recorded_model: Model, source: str) -> None:
         f"put it back, begin a new run with it, or go on with the recorded one by --as-recorded. Changed: {changes}"
     )
     raise InputError("--model", source, "the model that the run was begun with", mend)
-
-
-def wall_s(told: Iterable[Told]) -> float:
-    """For how long the run had something under way: pauses between its starts do not count."""
-    total_ns = reached_ns = 0
-    for one in sorted(told, key=lambda one: one.time_ns):
-        begun_ns = max(reached_ns, one.time_ns - round(one.step.controller_s * 1e9))
-        total_ns, reached_ns = total_ns + one.time_ns - begun_ns, one.time_ns
-    return total_ns / 1e9

@@ -65,7 +65,7 @@ def status(
     if source is not None and (run is not None or not follow):
         raise InputError("--from", source, "only with --follow, and without a RUN", "it names the run")
     if follow:
-        _follow(settings, run, source, as_json, sys.stdout.isatty() and not (as_json or quiet))
+        _follow(settings, run, source, as_json, quiet)
         return
     row = overview(find_run(_named(run), settings.runs_dir))
     if as_json:
@@ -79,13 +79,15 @@ def status(
             typer.echo(f"{name:12} {line(row[name])}")
 
 
-def _follow(settings: Settings, run: str | None, source: str | None, as_json: bool, show: bool) -> None:
+def _follow(settings: Settings, run: str | None, source: str | None, as_json: bool, quiet: bool) -> None:
     from agent import follow
 
+    say = not (as_json or quiet)
+    show = say and sys.stdout.isatty()
     if source is None:
         follow.follow_run(find_run(_named(run), settings.runs_dir), as_json=as_json, show=show)
     else:
-        follow.follow_replay(settings, source, as_json=as_json, show=show)
+        follow.follow_replay(settings, source, as_json=as_json, show=show, say=say)
 
 
 def _named(run: str | None) -> str:

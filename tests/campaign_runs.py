@@ -72,15 +72,17 @@ def map_of(design: Design, bins: int = 32) -> NDArray[np.float64]:
 class RunOnDisk:
     """Writes a run's journal step by step; `finish` ends it, `close` leaves it as a killed process would."""
 
-    def __init__(self, folder: Path, plan: Plan | None = None) -> None:
+    def __init__(
+        self, folder: Path, plan: Plan | None = None, argv: Sequence[str] = ARGV, designer: str = "1-test"
+    ) -> None:
         self.plan = plan or plan_of(folder.name)
-        facts = {"argv": ARGV, "designer": "ddqn-fast", "seed": "7"}
+        facts = {"argv": [*argv], "designer": "ddqn-fast", "seed": "7"}
         attachments = {"campaign.json": json.dumps({"designer": "ddqn-fast", "seed": 7})}
-        begin = Begin(plan=self.plan, designer="1-test", facts=facts, attachments=attachments)
+        begin = Begin(plan=self.plan, designer=designer, facts=facts, attachments=attachments)
         run, files = opening(begin)
         environment = {"python": "3.11.7", "numpy": "2.4.6", "cores": "2"}
         self.journal = Journal(folder, {"run": run, "environment": environment}, files)
-        self.sequence = 0
+        self.sequence = self.paused_ns = 0
         self.numbers: dict[int, int] = {}
 
     def evaluated(
@@ -157,7 +159,7 @@ class RunOnDisk:
         self.sequence += 1
 
     def _now_ns(self) -> int:
-        return BEGUN_NS + (self.sequence + 1) * SECOND_NS
+        return BEGUN_NS + (self.sequence + 1) * SECOND_NS + self.paused_ns
 
 
 def metrics_of(uniformity: float, error: float) -> dict[str, Any]:

@@ -90,9 +90,9 @@ def work(document: Document) -> Iterator[str]:
     rows += [(name, count, time, NOTHING, best) for name, count, time, best in PAPER_WORK]
     heads = ("", "designs evaluated", "wall time", "computing time of workers", "best uniformity")
     caption = (
-        "As Table 6; the walk alone, finalists aside. Projected: the grid's feasible designs times the mean computing"
-        " time of a design in this walk, at its fidelity and on its machine; nobody computed it. Workers run side by"
-        " side, so computing time may exceed wall time."
+        "As Table 6; the walk alone, finalists and pauses between starts aside. Projected: the grid's feasible"
+        " designs times the mean computing time of a design in this walk, at its fidelity and on its machine; nobody"
+        " computed it. Workers run side by side, so computing time may exceed wall time."
     )
     yield html.table(heads, rows, caption)
     grid = document["grid"]
@@ -195,6 +195,9 @@ def provenance(document: Document) -> Iterator[str]:
     if document["command_line"]:
         yield paragraph("The run was made by:")
         yield html.code(document["command_line"])
+    if document["later_command_lines"]:
+        yield paragraph("It was interrupted, and gone on with by:")
+        yield html.code("\n".join(document["later_command_lines"]))
     yield paragraph("This page, and the check that the journal is what was written:")
     verify = f"luxloop audit verify {document['run']} --root {chain['root']} --records {chain['records']}"
     yield html.code(f"{shlex.join(document['report_command'])}\n{verify}")

@@ -40,9 +40,11 @@ Sample = Annotated[
 Best = Annotated[bool, typer.Option("--best", help="Level 4: the best design's final evaluation only.")]
 NewSeed = Annotated[bool, typer.Option("--new-seed", help="Level 4: other random numbers; are the errors honest?")]
 NoLocal = Annotated[bool, typer.Option("--no-local", help="Levels 4, 5: use a running set only; start no processes.")]
-Rate = Annotated[float, typer.Option(min=0.0, help="Level 5: multiple of real time; 0 as fast as possible.")]
+Rate = Annotated[
+    float | None, typer.Option(min=0.0, help="Level 5: multiple of real time, default 1; 0 as fast as possible.")
+]
 Topics = Annotated[str | None, typer.Option(help="Level 5: topics to play, with commas; none: all.")]
-Start = Annotated[int, typer.Option(min=0, help="Level 5: first step.")]
+Start = Annotated[int | None, typer.Option(min=0, help="Level 5: first step; default 0.")]
 Paused = Annotated[bool, typer.Option("--paused", help="Level 5: wait for the space bar at once.")]
 Runs = Annotated[Path | None, typer.Option(help="Folder of runs (else LUXLOOP_RUNS, else ./runs).")]
 Router = Annotated[str | None, typer.Option(help="Endpoint of the router (else LUXLOOP_ROUTER).")]
@@ -58,9 +60,9 @@ def replay(
     best: Best = False,
     new_seed: NewSeed = False,
     no_local: NoLocal = False,
-    rate: Rate = 1.0,
+    rate: Rate = None,
     topics: Topics = None,
-    start: Start = 0,
+    start: Start = None,
     paused: Paused = False,
     runs: Runs = None,
     router: Router = None,
@@ -75,6 +77,8 @@ def replay(
     """
     settings = load_settings(runs=runs, router=router)
     choice = _choice(level, every, sample, best, new_seed)
+    of_play = {"--rate": rate, "--topics": topics, "--start": start, "--paused": paused or None}
+    _refuse_elsewhere(level, PLAY, {name: value for name, value in of_play.items() if value is not None})
     folder = find_run(run, settings.runs_dir)
     show = sys.stderr.isatty() and not (as_json or quiet)
     found = _replayed(folder, level, settings, choice, not no_local, show)
@@ -84,7 +88,10 @@ def replay(
         from env_controller.audit.playback import play
 
         wanted = tuple(one for one in (topics or "").split(",") if one)
-        played = play(folder, settings, rate=rate, topics=wanted, start=start, paused=paused, local=not no_local)
+        played = play(
+            folder, settings, rate=1.0 if rate is None else rate, topics=wanted, start=start or 0, paused=paused,
+            local=not no_local,
+        )  # fmt: skip
         document, code = document | {"exit": 0, "played": played.document()}, 0
     typer.echo(json.dumps(document) if as_json else "\n".join(as_text(document, found)))
     if code:
@@ -138,8 +145,7 @@ def _choice(level: int, every: bool, sample: str | None, best: bool, new_seed: b
     given = [name for name, wanted in (("--all", every), ("--sample", sample), ("--best", best)) if wanted]
     if len(given) > 1:
         raise InputError(given[1], True, f"nothing beside {given[0]}", "give one of the two")
-    if level != RE_EXECUTE and (given or new_seed):
-        raise InputError([*given, "--new-seed"][0], True, "level 4 only", "add --level 4, or leave it out")
+    _refuse_elsewhere(level, RE_EXECUTE, dict.fromkeys([*given, *["--new-seed"] * new_seed], True))
     share = 1.0 if every else None
     if sample is not None:
         percent = re.fullmatch(r"(\d+(?:\.\d+)?) ?%", sample)
@@ -147,6 +153,12 @@ def _choice(level: int, every: bool, sample: str | None, best: bool, new_seed: b
         if not 0.0 < share <= 1.0:
             raise InputError("--sample", sample, "above 0% to 100%", "for example --sample 2%")
     return Choice(share, best, new_seed)
+
+
+def _refuse_elsewhere(level: int, of: int, given: dict[str, Any]) -> None:
+    """InputError for the first option that only another level looks at."""
+    for name, value in given.items() if level != of else ():
+        raise InputError(name, value, f"level {of} only", f"add --level {of}, or leave it out")
 
 
 def as_text(document: dict[str, Any], found: Replay) -> list[str]:

@@ -6,19 +6,20 @@ import random
 import threading
 import time
 from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from agent import designers_command
+from agent import campaign_command, designers_command
 from agent.campaign import Runner, fresh_seed
 from agent.comparison import Trial, compare, rows
 from agent.config import Campaign, Stop, read_campaign
 from agent.ddqn import Learning
-from agent.designers import designer
+from agent.designers import SEARCHES, designer
 from agent.launch import Launched
-from agent.moves import Space
+from agent.moves import Space, key_of
 from agent.progress import Found, Progress
 from agent.telling import as_text
 from luxloop.campaign import Action, Ended, Step
@@ -146,6 +147,22 @@ def test_a_slow_climb_is_no_saturation() -> None:
     assert found(Flat(), evaluations=250, episodes_without_gain=5)[0].reason.startswith("saturation")
 
 
+def test_only_episodes_that_are_over_count_as_quiet() -> None:
+    """The best design comes first: with four lanes, three episodes have ended without a gain before the walk ends."""
+
+    class BestFirst(Door):
+        def act(self, action: Action) -> Step:
+            seen = 0.9 if (action.lane, action.number) == (0, 0) else 0.5
+            return super().act(action).model_copy(update={"uniformity": seen, "uniformity_error": 0.009})
+
+    door = BestFirst()
+    result, _ = found(door, lanes=4, evaluations=250, episodes_without_gain=3)
+    begun = [[a.agent.episode for a in door.actions if a.agent and a.lane == lane] for lane in range(4)]
+    over = {episode for episodes in begun for episode in episodes if episode != episodes[-1]}
+    assert len(over - {0}) >= 3, "episode 0 has the gain"
+    assert result.reason == "saturation: no gain above twice its error in 3 episodes"
+
+
 def test_a_grid_ends_when_all_of_it_was_seen() -> None:
     """Every design that can be built, once."""
     bounds = BOUNDS.model_copy(update={"step": Design.from_vector((80.0, 45.0, 200.0, 25.0, 2.5))})
@@ -230,7 +247,7 @@ def test_a_best_that_failed_is_told_as_the_best_finalist() -> None:
     assert not document["best"]["failure"]
     assert "once more, it failed" in text_of(result)
     assert "gained       +" in text_of(result)
-    (row,) = rows([Trial("a", 1, (0.5,), 1, result)])
+    (row,) = rows([trial_of("a", result)])
     assert row["best_worst"] == row["best_of_all"] == result.finalists[0].uniformity
 
 
@@ -244,8 +261,36 @@ def test_what_failed_is_no_number(roles: tuple[str, ...]) -> None:
     if "best" in roles:
         assert "best   " not in text
         assert "finalist 1   failed" in text
-        (row,) = rows([Trial("a", 1, (0.5,), 1, result)])
+        (row,) = rows([trial_of("a", result)])
         assert row["best_median"] is None
+        assert (row["near"], row["best_of_all"]) == (0, None)
+        assert "near:" not in "\n".join(designers_command.as_text([row]))
+
+
+def trial_of(designer: str, result: Found, *designs: Design) -> Trial:
+    """A run of a comparison; its walk met these designs, then its best."""
+    met = [*designs, *([result.sound_best.design] if result.sound_best else [])]
+    return Trial(designer, 1, tuple(key_of(design) for design in met), 1, result)
+
+
+def test_near_is_judged_by_what_was_evaluated_anew() -> None:
+    """Two runs with the same optimum, 99.0 and 99.1 +- 0.3 %, are both near, whatever the walks saw; 97.0 is not."""
+    result, _ = found(Door(), evaluations=12)
+    assert result.best is not None
+    others = [step.design for step in result.finalists[1:]]
+
+    def came_to(uniformity: float) -> Found:
+        best = result.best.model_copy(update={"uniformity": uniformity, "uniformity_error": 0.003})  # type: ignore[union-attr]  # it has one
+        return replace(result, best=best)
+
+    one, two, far = rows([
+        trial_of("a", came_to(0.990), *others[:2]), trial_of("b", came_to(0.991), *others),
+        trial_of("c", came_to(0.970)),
+    ])  # fmt: skip
+    assert [(row["near"], row["evaluations_to_near"]) for row in (one, two, far)] == [(1, 3), (1, 5), (0, None)]
+    assert (far["best_of_all"], far["best_of_all_error"]) == (0.991, 0.003)
+    last = "\n".join(designers_command.as_text([one, two, far]))
+    assert "within 0.5 points and twice the combined error of the best of all, 99.10 +- 0.30 %" in last
 
 
 def test_a_door_that_breaks_ends_the_campaign_with_its_error() -> None:
@@ -290,6 +335,9 @@ def test_a_plan_says_what_the_controller_must_know() -> None:
         ("designer = 'ddqn-paper'\n[learning]\npatience = 5", "learning.patience"),
         ("[learning]\nrestart = 'start'", "learning.restart"),
         ("[learning]\nreplay = 16", "learning.batch"),
+        ("method = 'twin'\nwalk_error_points = 1.0", "walk_error_points"),
+        ("twin_histories = 4096", "twin_histories"),
+        *((f"designer = '{name}'\n[stop]\nepisodes_without_gain = 3", "episodes_without_gain") for name in SEARCHES),
         ("bounds = 'none'", "bounds"),
         ("lanes = ", "campaign.toml: line 1"),
         (f"lanes = {'7' * 5000}", "campaign.toml: line 1"),
@@ -350,6 +398,18 @@ def test_a_run_on_record_is_what_it_was() -> None:
     learning = Learning(patience=5)
     recorded = Campaign(designer="ddqn-fast-random", learning=learning).model_dump(mode="json")
     assert Campaign.model_validate(recorded).learner == learning
+    idle = Campaign(designer="grid", method="twin", walk_error_points=2.0, stop=Stop(episodes_without_gain=3))
+    assert Campaign.model_validate(idle.model_dump(mode="json")) == idle
+
+
+@pytest.mark.parametrize("option", [{"evaluations": 0}, {"time_s": 0.0}])
+def test_a_quick_campaign_takes_no_nought_for_nothing_said(
+    option: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is refused, as without --quick."""
+    monkeypatch.setattr(campaign_command, "_launched", lambda *_: pytest.fail("a campaign was begun"))
+    with pytest.raises(InputError, match=next(iter(option))):
+        campaign_command.run(quick=True, **option)
 
 
 @pytest.mark.parametrize("changes", [{"learning": Learning(profile="fast")}, {"reward": "r2"}])

@@ -311,6 +311,21 @@ def test_the_planned_evaluations_are_read_from_the_journal(tmp_path: Path) -> No
     assert evaluations_of(tmp_path / "trial") == 0
 
 
+@pytest.mark.parametrize(("option", "said"), [("", "waiting for a replay of trial"), ("--quiet", ""), ("--json", "")])
+def test_who_waits_for_a_replay_is_told_unless_it_is_quiet(
+    option: str, said: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On stderr; here no router ever comes."""
+
+    def nobody(_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("agent.follow._joined", nobody)
+    text = CliRunner().invoke(app, ["--follow", "--from", "replay/trial", *option.split()]).stderr
+    assert said in text
+    assert bool(text) == bool(said)
+
+
 @pytest.mark.parametrize("source", ["", "trial", "replay/", "replay/No Such", "journal/trial", "replay/a/b"])
 def test_a_source_is_a_replay(source: str) -> None:
     """`replay/` and the id of a run."""

@@ -22,6 +22,7 @@ from agent.report import document_of
 from agent.report_arrays import front_of, line_of
 from agent.report_numbers import difference
 from agent.report_under import Named, Winner, differences, questions, row_under
+from env_controller.audit.compact import compact
 from luxloop.campaign import Ended, Fidelity, Step
 from luxloop.client import Answer
 from luxloop.design import Design
@@ -200,6 +201,35 @@ def test_a_killed_run_shows_the_best_of_its_walk(tmp_path: Path) -> None:
     assert document["finalists"] == []
     assert document["chain"]["records"] > 0
     assert arrays["best_map_lx"].shape == (32, 32)
+
+
+@pytest.mark.parametrize("in_one_file", [False, True])
+def test_a_run_was_made_by_its_first_start(tmp_path: Path, in_one_file: bool) -> None:
+    """Later ones are named beside it, a controller that was started again under the same designer is none."""
+    folder, resume = tmp_path / "trial", ["campaign", "resume", "trial"]
+    for argv, designer in ((ARGV, "1-test"), (ARGV, "1-test"), (resume, "2-test"), (resume, "3-test")):
+        run = RunOnDisk(folder, argv=argv, designer=designer)
+        run.journal.finish()
+        run.close()
+    if in_one_file:
+        compact(folder)
+    document, _ = document_of(folder)
+    assert document["command_line"] == "luxloop " + " ".join(ARGV)
+    assert document["later_command_lines"] == ["luxloop campaign resume trial"] * 2
+    assert len(RunJournal(folder).segments) == (1 if in_one_file else 4)
+
+
+def test_the_night_between_two_starts_is_no_time_of_the_run(tmp_path: Path) -> None:
+    """Three steps of the walk and a final one, 0.6 s each, with eight hours after the first: 1.8 s, 2.4 s."""
+    run = RunOnDisk(tmp_path / "trial")
+    run.evaluated(START, 0.7)
+    run.paused_ns = 8 * 3600 * campaign_runs.SECOND_NS
+    run.evaluated(WIDE, 0.8)
+    run.evaluated(START, 0.7)
+    run.evaluated(WIDE, 0.8, seed="1")
+    run.finish()
+    times = document_of(tmp_path / "trial")[0]["times"]
+    assert (times["walk_s"], times["wall_s"]) == pytest.approx((1.8, 2.4))
 
 
 def test_a_run_of_failures_alone_has_no_best(tmp_path: Path) -> None:

@@ -17,8 +17,8 @@ import pytest
 from agent.checkpoints import FOLDER
 from agent.config import Campaign, Stop
 from agent.launch import Launched, launch
-from agent.recorded import Told, recorded
-from agent.resume import resume, wall_s
+from agent.recorded import Told, recorded, wall_s
+from agent.resume import resume
 from env_controller.audit.checks import exit_code, verify
 from env_controller.audit.contents import Contents
 from luxloop.bus.keys import at

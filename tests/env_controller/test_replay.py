@@ -125,6 +125,10 @@ def test_a_run_that_was_killed_is_replayed_as_far_as_it_goes(tmp_path: Path) -> 
         (["--level", "4", "--best", "--all"], "--best"),
         (["--level", "2", "--new-seed"], "--new-seed"),
         (["--level", "3", "--best"], "--best"),
+        (["--start", "0"], "--start"),
+        (["--level", "4", "--topics", "/step"], "--topics"),
+        (["--level", "1", "--rate", "1"], "--rate"),
+        (["--level", "3", "--paused"], "--paused"),
     ],
 )
 def test_options_that_do_not_go_together_are_refused(argv: list[str], field: str) -> None:

@@ -133,6 +133,15 @@ def test_what_a_run_lacks_is_said(tmp_path: Path) -> None:
     assert "without its DBR was not evaluated" in text
 
 
+def test_a_run_that_was_gone_on_with_says_by_what(tmp_path: Path) -> None:
+    """Beside the command that made it."""
+    RunOnDisk(tmp_path / "trial").close()
+    RunOnDisk(tmp_path / "trial", argv=["campaign", "resume", "trial"], designer="2-test").close()
+    text = Parsed(page_of(*report(tmp_path / "trial"))).text
+    assert "luxloop campaign run --id trial" in text
+    assert "gone on with by: luxloop campaign resume trial" in " ".join(text.split())
+
+
 def test_failures_are_told(whole: tuple[dict[str, Any], Parsed, str]) -> None:
     """How many, which and why."""
     assert "1 evaluations failed and are in no figure" in whole[1].text
