@@ -98,13 +98,19 @@ def estimate(statistic: Callable[[Real], Real], replicas: ArrayLike, centre: Arr
 
 
 def ratio_estimate(
-    ratio: Ratio, replicas: Real, centre: Real | None = None, truncation: float = 0.0, hidden: float = 0.0
+    ratio: Ratio,
+    replicas: Real,
+    centre: Real | None = None,
+    truncation: float = 0.0,
+    hidden: float = 0.0,
+    unseen: float = 0.0,
 ) -> Estimate:
     """The same for a numerator over a denominator of which each may be wrong by `truncation` through left-out modes.
 
     Parameters
     ----------
     hidden : share of the noise that replicas lost to weights, 0 to 1 (`field.Field.hidden`).
+    unseen : of the ratio, what may be hidden where they lost nearly all: an independent part of the standard error.
 
     Raises
     ------
@@ -118,7 +124,7 @@ def ratio_estimate(
     s(x) = x^2 / (1 + x^2): the share 1 - hidden (s(rho / 0.1) - s(rho / 0.5)) of b is taken off, and
     2.25 hidden s(rho / 0.1) b is an independent part of the standard error.
     """
-    return ratio_estimates({"": ratio}, replicas, centre, truncation, hidden)[""]
+    return ratio_estimates({"": ratio}, replicas, centre, truncation, hidden, unseen)[""]
 
 
 def ratio_estimates(
@@ -127,6 +133,7 @@ def ratio_estimates(
     centre: Real | None = None,
     truncation: float = 0.0,
     hidden: float = 0.0,
+    unseen: float = 0.0,
 ) -> dict[str, Estimate]:
     """The same for several ratios of the same replicas, which then share their draws."""
     if replicas.ndim < 1 or len(replicas) < 2:
@@ -139,7 +146,7 @@ def ratio_estimates(
     plain = _in_pieces(ratios, _without_one(mean, deviation, middle), replicas.shape[1:])
     drawn = _in_pieces(ratios, _drawn(middle, deviation), replicas.shape[1:])
     even = {name: ratio(np.ones_like(replicas[:1])) for name, ratio in ratios.items()}
-    return {name: _estimate(plain[name], drawn[name], even[name], truncation, hidden) for name in ratios}
+    return {name: _estimate(plain[name], drawn[name], even[name], truncation, hidden, unseen) for name in ratios}
 
 
 def _in_pieces(ratios: dict[str, Ratio], pieces: Iterable[Real], shape: tuple[int, ...]) -> dict[str, Part]:
@@ -173,7 +180,7 @@ def _drawn(middle: Real, deviation: Real) -> Iterator[Real]:
         yield drawn.reshape(-1, middle.size)
 
 
-def _estimate(plain: Part, drawn: Part, even: Part, truncation: float, hidden: float) -> Estimate:
+def _estimate(plain: Part, drawn: Part, even: Part, truncation: float, hidden: float, unseen: float) -> Estimate:
     """Estimate from (the mean, the G means without one group, the centre), the draws about it, and a flat map."""
     (numerator, denominator), (drawn_numerator, drawn_denominator) = plain, drawn
     G = len(numerator) - 2
@@ -187,7 +194,7 @@ def _estimate(plain: Part, drawn: Part, even: Part, truncation: float, hidden: f
     if hidden > 0.0:
         share, doubt = _of_hidden(bias, float(value - even[0][0] / even[1][0]), hidden)
     jackknife_variance = (G - 1) * without_one.var()
-    error = float(np.sqrt((at_drawn.var() + jackknife_variance) / 2.0 + doubt**2))
+    error = float(np.sqrt((at_drawn.var() + jackknife_variance) / 2.0 + doubt**2 + unseen**2))
     bound = truncation * (1.0 + abs(value)) / abs(denominator[0])
     return Estimate(float(value - share * bias), error, share * bias, G, float(bound))
 

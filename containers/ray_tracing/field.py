@@ -34,6 +34,9 @@ CUTOFF_X = 10.652710526
 
 FEWEST_MODES, MOST_MODES = 6, 64
 
+NEARLY_ALL = 0.99
+"""Of the noise: `hidden` from which on what is left of it tells too little of the error."""
+
 TAPER_END = 1.3
 """A module's modes fade from 1 at the cut-off to 0 here, in units of the cut-off, as cos^2.
 
@@ -208,6 +211,17 @@ class Field:
         tallied, kept = self.tallied_variance.copy(), self.variance
         tallied[0, 0] = kept[0, 0] = 0.0
         return float(np.clip(1.0 - kept.sum() / tallied.sum(), 0.0, 1.0)) if tallied.any() else 0.0
+
+    @property
+    def unseen(self) -> float:
+        """Relief, in means, that may lie in noise of which weights left next to none; 0 where they left 1 % or more.
+
+        What is left then tells of no error: two places of the map may differ by what the tallied noise makes them.
+        """
+        nearly = (self.hidden - NEARLY_ALL) / (1.0 - NEARLY_ALL)
+        if self.tallied_variance is None or nearly <= 0.0 or self.mean <= 0.0:
+            return 0.0
+        return nearly * float(np.sqrt(2.0 * (self.tallied_variance.sum() - self.tallied_variance[0, 0]))) / self.mean
 
     @property
     def variance(self) -> Real:

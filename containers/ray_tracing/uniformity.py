@@ -216,7 +216,7 @@ def uniformity(field: Field, region: Region) -> Estimate:
             "more histories",
         )  # fmt: skip
     centre = field.denoised().line(region.line_um, region.line_y_um)[0]
-    return _share(ratio_estimate(smallest_over_largest, lines, centre, field.truncation, field.hidden))
+    return _share(ratio_estimate(smallest_over_largest, lines, centre, field.truncation, field.hidden, field.unseen))
 
 
 def metrics_of(
@@ -268,7 +268,9 @@ def _of_area(field: Field, region: Region, lx: float) -> dict[str, Estimate]:
         "coefficient_of_variation": deviation_over_mean,
     }
     maps = field.grid(x_um, y_um)
-    found = ratio_estimates(ratios, maps, field.denoised().grid(x_um, y_um)[0], field.truncation, field.hidden)
+    found = ratio_estimates(
+        ratios, maps, field.denoised().grid(x_um, y_um)[0], field.truncation, field.hidden, field.unseen
+    )
     variation = found["coefficient_of_variation"]
     found = {name: _share(one) for name, one in found.items()}
     found["coefficient_of_variation"] = replace(variation, value=max(variation.value, 0.0))
@@ -286,7 +288,7 @@ def _at_points(field: Field, region: Region, count: int) -> Estimate:
 def _of_points(field: Field, points_um: Real, ratio: Ratio) -> Estimate:
     """A ratio of the values at points (point, 2)."""
     centre = field.denoised().at(points_um)[0]
-    return ratio_estimate(ratio, field.at(points_um), centre, field.truncation, field.hidden)
+    return ratio_estimate(ratio, field.at(points_um), centre, field.truncation, field.hidden, field.unseen)
 
 
 def _share(found: Estimate) -> Estimate:
