@@ -365,10 +365,14 @@ class ModuleField(Field):
         bin_area_mm2 = 1e-6 * (x1 - x0) * (y1 - y0) / tally[0].size
         weight = np.cos(np.pi / 2.0 * beyond) ** 2 / (histories_per_chip * bin_area_mm2)
         coefficients = _coefficients(tally, x, y, weight)
-        at = np.linspace(CUTOFF_X, CUTOFF_X + 30.0, 601)
-        bound = float(np.sum(lambert_transform(at) * at) * 0.05 / (2.0 * np.pi)) / (1e-6 * height_um**2)
         histories = round(histories_per_chip * len(tally))
-        return cls(coefficients, x, y, histories, bound, 1e6, _variance(coefficients))
+        return cls(coefficients, x, y, histories, beyond_cutoff(height_um), 1e6, _variance(coefficients))
+
+
+def beyond_cutoff(height_um: float, cutoff_x: float = CUTOFF_X) -> float:
+    """What the waves of one chip beyond k = `cutoff_x` / height add anywhere at most, in 1/mm^2."""
+    at = np.linspace(cutoff_x, cutoff_x + 30.0, 601)
+    return float(np.sum(lambert_transform(at) * at) * 0.05 / (2.0 * np.pi)) / (1e-6 * height_um**2)
 
 
 def beyond_noise(power: ArrayLike, noise: ArrayLike) -> Real:

@@ -21,7 +21,7 @@ from containers.ray_tracing.several_tops import scenes_of, solver_of_all, with_t
 from containers.ray_tracing.stopping import POINTS, Solver, Target, run_to_count, run_to_error
 from containers.ray_tracing.tally import GROUPS, Box, Tally
 from containers.ray_tracing.twin.cell import cell_field
-from containers.ray_tracing.twin.module import ModuleTwin
+from containers.ray_tracing.twin.module import ModuleTwin, open_array
 from containers.ray_tracing.uniformity import uniformity
 from containers.scene import Array, Cell, Scene
 from containers.scene_checks import scene_warnings
@@ -189,6 +189,7 @@ def _twin(request: RayRequest, scene: Scene, source: ExitSource, progress: Progr
 
     if isinstance(scene.layout, Cell):
         return Solved(scene, None, cell_field(scene, exits(scene), threads=threads), region_of(scene))
+    open_array(scene)
     fields = [ModuleTwin(one, exits(one), groups=GROUPS, threads=threads).field() for one in scenes_of(scene)]
     whole = sum(field.coefficients for field in fields[1:])
     field = replace(fields[0], coefficients=fields[0].coefficients + whole) if fields[1:] else fields[0]
