@@ -7,6 +7,7 @@ from dataclasses import replace
 from containers.bsdf import Mirror
 from containers.effect import SceneEffect, parameter
 from containers.scene import Array, Scene
+from luxloop.errors import InputError
 
 
 class EdgeWalls(SceneEffect):
@@ -24,7 +25,11 @@ class EdgeWalls(SceneEffect):
     reflectance: float = parameter("of the walls", unit="", lower=0.0, upper=0.9, off=0.0, one_sided=True)
 
     def scene(self, scene: Scene) -> Scene:
-        """A finite module gets walls; endless chips have no edge."""
+        """A finite module gets walls, in front of its own (1 - (1 - r)(1 - r')); endless chips have no edge."""
         if not isinstance(scene.layout, Array) or not self.reflectance:
             return scene
-        return replace(scene, layout=replace(scene.layout, wall=Mirror(self.reflectance)))
+        own = Mirror(0.0) if scene.layout.wall is None else scene.layout.wall
+        if not isinstance(own, Mirror):
+            raise InputError("layout.wall", type(own).__name__, "a mirror, or an open edge", "leave one of both out")
+        both = 1.0 - (1.0 - own.reflectance) * (1.0 - self.reflectance) if own.reflectance else self.reflectance
+        return replace(scene, layout=replace(scene.layout, wall=Mirror(both)))

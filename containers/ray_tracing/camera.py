@@ -61,7 +61,12 @@ def irradiance_image(light: LightMap, camera: Camera) -> Real:
 
 def response(signal_dn: Real, camera: Camera) -> Real:
     """Digital numbers for a signal above black (..., row, column): ambient light, then the sensor's own steps."""
-    signal = nonlinear(signal_dn + ambient(camera), camera.nonlinearity, camera.full_scale_dn)
+    return sensed(signal_dn + ambient(camera), camera)
+
+
+def sensed(light_dn: Real, camera: Camera) -> Real:
+    """Digital numbers for the signal of all light that arrives (..., row, column): the sensor's own steps."""
+    signal = nonlinear(light_dn, camera.nonlinearity, camera.full_scale_dn)
     return saturated(signal, camera.saturation_knee, camera.full_scale_dn) + camera.black_level_dn
 
 

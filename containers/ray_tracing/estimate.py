@@ -13,7 +13,7 @@ they do depends on a relief that nobody sees. There less of the bias is taken of
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -24,11 +24,15 @@ from containers.checked import within
 from luxloop.errors import InputError
 
 Real = NDArray[np.float64]
-Ratio = Callable[[Real], tuple[Real, Real]]
+Part = tuple[Real, Real]
+Ratio = Callable[[Real], Part]
 """From replicas (draw, point) to numerators and denominators (draw,)."""
 
 ROTATIONS = 2
 """Random rotations of the groups' deviations; each gives 2 x groups draws (of either sign)."""
+
+MOST_VALUES = 1 << 22
+"""Of draws that are held at once."""
 
 HALF_HIDDEN, HALF_FLAT = 0.1, 0.5
 """Bias, in reliefs, from which on weights hide as much as noise adds; and from which on the map may as well be flat,
@@ -94,13 +98,19 @@ def estimate(statistic: Callable[[Real], Real], replicas: ArrayLike, centre: Arr
 
 
 def ratio_estimate(
-    ratio: Ratio, replicas: Real, centre: Real | None = None, truncation: float = 0.0, hidden: float = 0.0
+    ratio: Ratio,
+    replicas: Real,
+    centre: Real | None = None,
+    truncation: float = 0.0,
+    hidden: float = 0.0,
+    unseen: float = 0.0,
 ) -> Estimate:
     """The same for a numerator over a denominator of which each may be wrong by `truncation` through left-out modes.
 
     Parameters
     ----------
     hidden : share of the noise that replicas lost to weights, 0 to 1 (`field.Field.hidden`).
+    unseen : of the ratio, what may be hidden where they lost nearly all: an independent part of the standard error.
 
     Raises
     ------
@@ -114,7 +124,7 @@ def ratio_estimate(
     s(x) = x^2 / (1 + x^2): the share 1 - hidden (s(rho / 0.1) - s(rho / 0.5)) of b is taken off, and
     2.25 hidden s(rho / 0.1) b is an independent part of the standard error.
     """
-    return ratio_estimates({"": ratio}, replicas, centre, truncation, hidden)[""]
+    return ratio_estimates({"": ratio}, replicas, centre, truncation, hidden, unseen)[""]
 
 
 def ratio_estimates(
@@ -123,6 +133,7 @@ def ratio_estimates(
     centre: Real | None = None,
     truncation: float = 0.0,
     hidden: float = 0.0,
+    unseen: float = 0.0,
 ) -> dict[str, Estimate]:
     """The same for several ratios of the same replicas, which then share their draws."""
     if replicas.ndim < 1 or len(replicas) < 2:
@@ -132,22 +143,47 @@ def ratio_estimates(
     mean = flat.mean(axis=0)
     deviation = flat - mean
     middle = mean if centre is None else centre.reshape(-1)
-    shape = replicas.shape[1:]
-    plain = np.concatenate([mean[None], mean - deviation / (G - 1), middle[None]]).reshape(-1, *shape)
-    rotations = _rotations(G)
-    drawn = np.empty((2, len(rotations), flat.shape[1]))
-    noise = np.matmul(rotations, deviation / np.sqrt(G - 1.0), out=drawn[0])
-    np.subtract(middle, noise, out=drawn[1])
-    noise += middle
-    drawn = drawn.reshape(-1, *shape)
-    return {name: _estimate(ratio, plain, drawn, truncation, hidden) for name, ratio in ratios.items()}
+    plain = _in_pieces(ratios, _without_one(mean, deviation, middle), replicas.shape[1:])
+    drawn = _in_pieces(ratios, _drawn(middle, deviation), replicas.shape[1:])
+    even = {name: ratio(np.ones_like(replicas[:1])) for name, ratio in ratios.items()}
+    return {name: _estimate(plain[name], drawn[name], even[name], truncation, hidden, unseen) for name in ratios}
 
 
-def _estimate(ratio: Ratio, plain: Real, drawn: Real, truncation: float, hidden: float) -> Estimate:
-    """Estimate from (the mean, the G means without one group, the centre) and the draws about the centre."""
-    G = len(plain) - 2
-    numerator, denominator = ratio(plain)
-    drawn_numerator, drawn_denominator = ratio(drawn)
+def _in_pieces(ratios: dict[str, Ratio], pieces: Iterable[Real], shape: tuple[int, ...]) -> dict[str, Part]:
+    """Numerators and denominators of each ratio, for (draw, point) that come in pieces."""
+    found: dict[str, list[Part]] = {name: [] for name in ratios}
+    for piece in pieces:
+        for name, ratio in ratios.items():
+            found[name].append(ratio(piece.reshape(-1, *shape)))
+    both = {name: list(zip(*some, strict=True)) for name, some in found.items()}
+    return {name: (np.concatenate(over), np.concatenate(under)) for name, (over, under) in both.items()}
+
+
+def _without_one(mean: Real, deviation: Real, middle: Real) -> Iterator[Real]:
+    """The mean, the G means without one group, the centre."""
+    G, size = len(deviation), max(1, MOST_VALUES // mean.size)
+    for first in range(0, G, size):
+        before, after = [mean[None]] * (first == 0), [middle[None]] * (first + size >= G)
+        yield np.concatenate([*before, mean - deviation[first : first + size] / (G - 1), *after])
+
+
+def _drawn(middle: Real, deviation: Real) -> Iterator[Real]:
+    """The centre with noise, of either sign."""
+    rotations, size = _rotations(len(deviation)), max(1, MOST_VALUES // (2 * middle.size))
+    scaled = deviation / np.sqrt(len(deviation) - 1.0)
+    for first in range(0, len(rotations), size):
+        some = rotations[first : first + size]
+        drawn = np.empty((2, len(some), middle.size))
+        noise = np.matmul(some, scaled, out=drawn[0])
+        np.subtract(middle, noise, out=drawn[1])
+        noise += middle
+        yield drawn.reshape(-1, middle.size)
+
+
+def _estimate(plain: Part, drawn: Part, even: Part, truncation: float, hidden: float, unseen: float) -> Estimate:
+    """Estimate from (the mean, the G means without one group, the centre), the draws about it, and a flat map."""
+    (numerator, denominator), (drawn_numerator, drawn_denominator) = plain, drawn
+    G = len(numerator) - 2
     with np.errstate(divide="ignore", invalid="ignore"):
         at_plain, at_drawn = numerator / denominator, drawn_numerator / drawn_denominator
     if not (np.isfinite(at_plain).all() and np.isfinite(at_drawn).all()):
@@ -156,10 +192,9 @@ def _estimate(ratio: Ratio, plain: Real, drawn: Real, truncation: float, hidden:
     bias = float(at_drawn.mean() - at_centre)
     share, doubt = 1.0, 0.0
     if hidden > 0.0:
-        of_flat, over = ratio(np.ones_like(plain[:1]))
-        share, doubt = _of_hidden(bias, float(value - of_flat[0] / over[0]), hidden)
+        share, doubt = _of_hidden(bias, float(value - even[0][0] / even[1][0]), hidden)
     jackknife_variance = (G - 1) * without_one.var()
-    error = float(np.sqrt((at_drawn.var() + jackknife_variance) / 2.0 + doubt**2))
+    error = float(np.sqrt((at_drawn.var() + jackknife_variance) / 2.0 + doubt**2 + unseen**2))
     bound = truncation * (1.0 + abs(value)) / abs(denominator[0])
     return Estimate(float(value - share * bias), error, share * bias, G, float(bound))
 

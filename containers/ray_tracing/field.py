@@ -34,6 +34,9 @@ CUTOFF_X = 10.652710526
 
 FEWEST_MODES, MOST_MODES = 6, 64
 
+NEARLY_ALL = 0.99
+"""Of the noise: `hidden` from which on what is left of it tells too little of the error."""
+
 TAPER_END = 1.3
 """A module's modes fade from 1 at the cut-off to 0 here, in units of the cut-off, as cos^2.
 
@@ -210,6 +213,17 @@ class Field:
         return float(np.clip(1.0 - kept.sum() / tallied.sum(), 0.0, 1.0)) if tallied.any() else 0.0
 
     @property
+    def unseen(self) -> float:
+        """Relief, in means, that may lie in noise of which weights left next to none; 0 where they left 1 % or more.
+
+        What is left then tells of no error: two places of the map may differ by what the tallied noise makes them.
+        """
+        nearly = (self.hidden - NEARLY_ALL) / (1.0 - NEARLY_ALL)
+        if self.tallied_variance is None or nearly <= 0.0 or self.mean <= 0.0:
+            return 0.0
+        return nearly * float(np.sqrt(2.0 * (self.tallied_variance.sum() - self.tallied_variance[0, 0]))) / self.mean
+
+    @property
     def variance(self) -> Real:
         """Of the mean over groups of each coefficient, (function along y, function along x)."""
         return _variance(self.coefficients)
@@ -351,10 +365,14 @@ class ModuleField(Field):
         bin_area_mm2 = 1e-6 * (x1 - x0) * (y1 - y0) / tally[0].size
         weight = np.cos(np.pi / 2.0 * beyond) ** 2 / (histories_per_chip * bin_area_mm2)
         coefficients = _coefficients(tally, x, y, weight)
-        at = np.linspace(CUTOFF_X, CUTOFF_X + 30.0, 601)
-        bound = float(np.sum(lambert_transform(at) * at) * 0.05 / (2.0 * np.pi)) / (1e-6 * height_um**2)
         histories = round(histories_per_chip * len(tally))
-        return cls(coefficients, x, y, histories, bound, 1e6, _variance(coefficients))
+        return cls(coefficients, x, y, histories, beyond_cutoff(height_um), 1e6, _variance(coefficients))
+
+
+def beyond_cutoff(height_um: float, cutoff_x: float = CUTOFF_X) -> float:
+    """What the waves of one chip beyond k = `cutoff_x` / height add anywhere at most, in 1/mm^2."""
+    at = np.linspace(cutoff_x, cutoff_x + 30.0, 601)
+    return float(np.sum(lambert_transform(at) * at) * 0.05 / (2.0 * np.pi)) / (1e-6 * height_um**2)
 
 
 def beyond_noise(power: ArrayLike, noise: ArrayLike) -> Real:

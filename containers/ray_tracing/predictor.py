@@ -17,7 +17,7 @@ import numpy as np
 from containers.acting import Effects
 from containers.effect import Real
 from containers.ray_tracing.build import cell_of, scene_of
-from containers.ray_tracing.camera import seen_px
+from containers.ray_tracing.camera import ambient, seen_px
 from containers.ray_tracing.exit_source import BATCH, ExitSource
 from containers.ray_tracing.exits import Exits, scene_key
 from containers.ray_tracing.field import ModuleField
@@ -291,8 +291,9 @@ def _refuse_beyond_twin(request: PredictionRequest, shots: Sequence[Shot]) -> No
 def _bend(arrays: Arrays, shots: Sequence[Shot]) -> None:
     """Let the sensors' effects act: images as if the light had been other, the rest by the slope there.
 
-    An effect s acts on the signal y = g E + o; returned is E' with g E' + o = s(y), so that who multiplies by the
-    gain and adds the offset has the signal. Its derivatives are then others, by the gain s' E, by the offset s'.
+    An effect s acts on the signal y = g E + o + a of all light; returned is E' with g E' + o + a = s(y), so that who
+    multiplies by the gain, adds the offset and the ambient plane a, and lets the sensor's own steps follow, has the
+    image. Its derivatives are then others, by the gain s' E, by the offset s'.
     """
     for number, shot in enumerate(shots):
         if not shot.effects.bends_signals:
@@ -316,9 +317,10 @@ def _bend(arrays: Arrays, shots: Sequence[Shot]) -> None:
 def _bent(image_per_mm2: Real, shot: Shot) -> tuple[Real, Real]:
     """An image as the sensor's effects leave it, bit for bit the same where they are off; their slope."""
     gain, offset, step = shot.camera.gain_dn, shot.camera.offset_dn, SLOPE_STEP * shot.camera.full_scale_dn
-    signal = gain * image_per_mm2 + offset
+    plane = ambient(shot.camera)
+    signal = gain * image_per_mm2 + offset + plane
     low, at, high = (shot.effects.signal(signal + by, shot.camera) for by in (-step, 0.0, step))
-    bent = image_per_mm2 if np.array_equal(at, signal) else (at - offset) / gain
+    bent = image_per_mm2 if np.array_equal(at, signal) else (at - plane - offset) / gain
     return bent, (high - low) / (2.0 * step)
 
 
@@ -379,13 +381,13 @@ def _shots(wanted: Sequence[ShotRequest], where: str, means: Means, groups: int)
             camera = effects.camera(shot.camera)
             with named("camera"):
                 _refuse_wide_view(camera, groups)
+            film = None if shot.film is None else means.film(shot.film)
+            refuse_other_film(shot, film, effects)
             key = sha256_of(shot.model_dump(mode="json", include={"environment", "design", "film"}))
             if key not in built:
-                film = None if shot.film is None else means.film(shot.film)
-                refuse_other_film(shot, film, effects)
                 built[key] = scene_of(shot.environment, shot.design, film, cell_of(shot.environment, shot.design))
             bare = replace(built[key], layout=_open(shot))
-            bare = with_tops(bare, shot.environment, None if shot.film is None else means.film(shot.film), effects)
+            bare = with_tops(bare, shot.environment, film, effects)
             scene, whole = effects.for_twin.scene(bare), effects.scene(bare)
             open_array(scene)
         shots.append(Shot(scene, camera, name, effects=effects, whole=whole if effects.beyond_twin else None))

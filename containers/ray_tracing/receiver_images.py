@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from containers.acting import NONE, Effects
-from containers.ray_tracing.camera import irradiance_image, reach_um, response, seen_px
+from containers.ray_tracing.camera import ambient, irradiance_image, reach_um, seen_px, sensed
 from containers.ray_tracing.field import CellField, Field
 from containers.ray_tracing.light_map import LightMap
 from containers.ray_tracing.tally import Box
@@ -82,9 +82,13 @@ def refuse_too_many(cameras: Sequence[Camera]) -> None:
 
 
 def _digital(signal: Real, error: Real, camera: Camera, effects: Effects) -> tuple[Real, Real]:
-    """Digital numbers and their error, for a signal and its error before the offset."""
-    above_black = (signal + step * error + camera.offset_dn for step in (-1.0, 0.0, 1.0))
-    low, middle, high = (response(effects.signal(one, camera), camera) for one in above_black)
+    """Digital numbers and their error, for a signal and its error before the offset.
+
+    Effects bend all light that arrives, ambient light too. The sensor's own steps come after theirs, as for who has
+    a prediction (`predictor._bend`): pixels bend and saturate, what reads them is as it was calibrated.
+    """
+    light = (signal + step * error + camera.offset_dn + ambient(camera) for step in (-1.0, 0.0, 1.0))
+    low, middle, high = (sensed(effects.signal(one, camera), camera) for one in light)
     return middle, np.abs(high - low) / 2.0
 
 

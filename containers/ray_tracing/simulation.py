@@ -13,6 +13,7 @@ from containers.ray_tracing.arrays import DX, DZ, X, Z
 from containers.ray_tracing.build import array_of, cell_of, scene_of
 from containers.ray_tracing.exit_source import ExitSource
 from containers.ray_tracing.exits import Exits, Landing
+from containers.ray_tracing.field import ModuleField
 from containers.ray_tracing.kernel import WAVE_OF_EXIT, WEIGHT_OF_EXIT
 from containers.ray_tracing.monte_carlo import BLOCK, MonteCarlo, blocks_of
 from containers.ray_tracing.outcome import Arrays, Document, Solved, far_fields, outcome, region_of, solved
@@ -21,7 +22,7 @@ from containers.ray_tracing.several_tops import scenes_of, solver_of_all, with_t
 from containers.ray_tracing.stopping import POINTS, Solver, Target, run_to_count, run_to_error
 from containers.ray_tracing.tally import GROUPS, Box, Tally
 from containers.ray_tracing.twin.cell import cell_field
-from containers.ray_tracing.twin.module import ModuleTwin
+from containers.ray_tracing.twin.module import ModuleTwin, open_array
 from containers.ray_tracing.uniformity import uniformity
 from containers.scene import Array, Cell, Scene
 from containers.scene_checks import scene_warnings
@@ -189,10 +190,20 @@ def _twin(request: RayRequest, scene: Scene, source: ExitSource, progress: Progr
 
     if isinstance(scene.layout, Cell):
         return Solved(scene, None, cell_field(scene, exits(scene), threads=threads), region_of(scene))
-    fields = [ModuleTwin(one, exits(one), groups=GROUPS, threads=threads).field() for one in scenes_of(scene)]
+    open_array(scene)
+    fields = [_twin_field(one, exits(one), threads) for one in scenes_of(scene)]
     whole = sum(field.coefficients for field in fields[1:])
     field = replace(fields[0], coefficients=fields[0].coefficients + whole) if fields[1:] else fields[0]
     return Solved(scene, None, field, region_of(scene))
+
+
+def _twin_field(scene: Scene, exits: Exits, threads: int | None) -> ModuleField:
+    """A module's field by the twin alone; InputError where its chips would take more light than comes to them."""
+    twin = ModuleTwin(scene, exits, groups=GROUPS, threads=threads)
+    if twin.exchange.least_returned < 0.0:
+        chips = f"chips {scene.chip.width_um:g} um wide are no points {scene.distance_um:g} um below the receiver"
+        raise InputError("method", "twin", "monte_carlo", f"for the twin each is one, and {chips}")
+    return twin.field()
 
 
 def solver_of(request: RayRequest, scene: Scene, source: ExitSource, threads: int | None) -> Solver:

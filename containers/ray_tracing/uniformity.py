@@ -6,12 +6,13 @@ Uniformities are in [0, 1]; percent is for print.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from math import gcd
 
 import numpy as np
 from numpy.typing import NDArray
 
 from containers.ray_tracing.estimate import Estimate, Ratio, ratio_estimate, ratio_estimates
-from containers.ray_tracing.field import Field
+from containers.ray_tracing.field import Axis, Field
 from luxloop.errors import InputError
 from luxloop.photometry import luminous_efficacy_lm_per_w
 
@@ -21,7 +22,8 @@ Points = tuple[tuple[float, float], ...]
 LINE_POINTS = 401
 CUT_POINTS = 401
 """Of the cut line that a step leaves; here, and not with `outcome`, for an auditor has no numba to trace with."""
-AREA_POINTS = 64
+AREA_POINTS, FEWEST_A_PITCH = 64, 8
+"""Of the area, along an axis: where they tell the field's waves apart, and give each pitch so many; else more."""
 
 _EDGE, _HALF = 0.8, 0.4
 MEASUREMENT_POINTS: dict[int, Points] = {
@@ -48,6 +50,7 @@ class Region:
     chip_um, gap_um : (x, y) of a chip's centre and of the point half a pitch from it in x and in y.
     periodic : the area is a whole period, its two edges are one.
     text : which line and area, for print.
+    pitches : how many pitches (x, y) the chips take.
     """
 
     line_um: Real
@@ -57,11 +60,31 @@ class Region:
     gap_um: tuple[float, float]
     periodic: bool
     text: str
+    pitches: tuple[int, int] = (1, 1)
 
-    def area_um(self) -> tuple[Real, Real]:
-        """x and y of 64 lines each way: in a cell through chip and corners, in a module amid equal patches."""
-        across = (np.arange(AREA_POINTS) + (0.0 if self.periodic else 0.5)) * 2.0 / AREA_POINTS - 1.0
-        return across * self.half_width_um[0], across * self.half_width_um[1]
+    def area_um(self, field: Field) -> tuple[Real, Real]:
+        """x and y of the lines for a field: in a cell through chip and corners, in a module amid equal patches.
+
+        Notes
+        -----
+        On lines as far apart as a wave is long that wave is constant, and would count as light. The 64 of a module
+        lie at 64 / gcd(64, pitches) places of a pitch; where that is too few, a pitch has an odd number of its own,
+        so that lines go through chips.
+        """
+        x, y = (
+            self._across(half, pitches, axis)
+            for half, pitches, axis in zip(self.half_width_um, self.pitches, (field.x, field.y), strict=True)
+        )
+        return x, y
+
+    def _across(self, half_um: float, pitches: int, axis: Axis) -> Real:
+        """The lines' places along an axis."""
+        waves = half_um * float(axis.wavenumber_per_um.max()) / np.pi / pitches  # the shortest, in a pitch
+        least, count = max(waves + 1e-6, FEWEST_A_PITCH), AREA_POINTS
+        if count < pitches * FEWEST_A_PITCH or count // gcd(count, pitches) <= least:
+            count = 2 * round(waves) + 2 if self.periodic else pitches * (int(least) + 1 | 1)
+        across = (np.arange(count) + (0.0 if self.periodic else 0.5)) * 2.0 / count - 1.0
+        return np.asarray(across * half_um)
 
     def measurement_points_um(self, count: int) -> Real:
         """Points (count, 2) at which 5, 9, 13 or 25 readings are taken, x before y."""
@@ -104,6 +127,7 @@ def array_region(
         np.linspace(-reach, reach, LINE_POINTS), chip[1], area, (chip[0], chip[1]), (gap[0], gap[1]), False,
         f"chip row y = {chip[1]:g} um, |x| <= {reach:g} um; area: {pitches}"
         + ("" if area == patch else f", of which the receiver has {2 * area[0]:g} x {2 * area[1]:g} um"),
+        (columns, rows),
     )  # fmt: skip
 
 
@@ -127,7 +151,7 @@ class Metrics:
 
 SENTENCES = {
     "uniformity": "Smallest over largest illuminance on the line through the chips (Eq. 8).",
-    "uniformity_2d": "Smallest over largest illuminance on 64 x 64 points of the area.",
+    "uniformity_2d": "Smallest over largest illuminance on 64 x 64 points of the area, or more.",
     "percentile_ratio": "1st over 99th percentile of the illuminance on the same points.",
     "coefficient_of_variation": "Standard deviation over mean of the illuminance on the same points.",
     "uniformity_5": "Smallest over largest of 5 readings: the centre, and four 10 % inside the edges.",
@@ -192,7 +216,7 @@ def uniformity(field: Field, region: Region) -> Estimate:
             "more histories",
         )  # fmt: skip
     centre = field.denoised().line(region.line_um, region.line_y_um)[0]
-    return _share(ratio_estimate(smallest_over_largest, lines, centre, field.truncation, field.hidden))
+    return _share(ratio_estimate(smallest_over_largest, lines, centre, field.truncation, field.hidden, field.unseen))
 
 
 def metrics_of(
@@ -237,14 +261,16 @@ def metrics_of(
 
 def _of_area(field: Field, region: Region, lx: float) -> dict[str, Estimate]:
     """The numbers of the area's points; `lx` is the illuminance where the field is 1."""
-    x_um, y_um = region.area_um()
+    x_um, y_um = region.area_um(field)
     ratios: dict[str, Ratio] = {
         "uniformity_2d": smallest_over_largest,
         "percentile_ratio": percentile_1_over_99,
         "coefficient_of_variation": deviation_over_mean,
     }
     maps = field.grid(x_um, y_um)
-    found = ratio_estimates(ratios, maps, field.denoised().grid(x_um, y_um)[0], field.truncation, field.hidden)
+    found = ratio_estimates(
+        ratios, maps, field.denoised().grid(x_um, y_um)[0], field.truncation, field.hidden, field.unseen
+    )
     variation = found["coefficient_of_variation"]
     found = {name: _share(one) for name, one in found.items()}
     found["coefficient_of_variation"] = replace(variation, value=max(variation.value, 0.0))
@@ -262,7 +288,7 @@ def _at_points(field: Field, region: Region, count: int) -> Estimate:
 def _of_points(field: Field, points_um: Real, ratio: Ratio) -> Estimate:
     """A ratio of the values at points (point, 2)."""
     centre = field.denoised().at(points_um)[0]
-    return ratio_estimate(ratio, field.at(points_um), centre, field.truncation, field.hidden)
+    return ratio_estimate(ratio, field.at(points_um), centre, field.truncation, field.hidden, field.unseen)
 
 
 def _share(found: Estimate) -> Estimate:

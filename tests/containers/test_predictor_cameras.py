@@ -68,6 +68,25 @@ def test_about_a_run_the_images_own_change_with_the_camera_is_told_beside_the_tw
     assert "by_camera_per_mm2" not in alone
 
 
+def test_a_bent_sensor_sees_ambient_light_in_a_prediction(source: ExitSource) -> None:
+    """With the camera's own plane added the prediction is the bent signal of all light; its slope is that there."""
+    gain, offset, full, b, of = 2000.0, 50.0, 4000.0, 0.04, worker(source)
+    sensor = {"gain_dn": gain, "offset_dn": offset, "full_scale_dn": full, "ambient_dn": (0.0, 300.0)}
+    bend = [{"name": "nonlinearity", "parameters": {"bend": b}}]
+    plain, bent = (
+        ask(request(shot(camera=CAMERA | sensor, effects=some), columns=["receiver_reflectance"]), of)
+        for some in ([], bend)
+    )
+    plane = np.linspace(-300.0, 300.0, 16)
+    light = gain * plain["images_per_mm2"][0] + offset + plane
+    found = gain * bent["images_per_mm2"][0] + offset + plane
+    np.testing.assert_allclose(found, light * (1.0 - b * light / full), rtol=1e-12)
+    slope = 1.0 - 2.0 * b * light / full
+    np.testing.assert_allclose(bent["by_offset"][0], slope, rtol=1e-5)
+    column = plain["jacobian_per_mm2"][0, 0]
+    np.testing.assert_allclose(bent["jacobian_per_mm2"][0, 0], slope * column, atol=1e-6 * np.abs(column).max())
+
+
 def test_camera_columns_take_no_run_of_the_twin(source: ExitSource) -> None:
     """They come of the image's own map: as many images are reported as without them; an anchored one has them too."""
     names = ("shift_row_px", "shift_column_px", "rotation_deg")

@@ -31,6 +31,9 @@ from luxloop.words import parse
 
 GROUPS = 32
 DESIGN = {"distance_um": 180.0, "width_um": 28.0, "spacing_um": 500.0, "thickness_um": 35.0, "dbr_pairs": 0.0}
+LOW = DESIGN | {"distance_um": 100.0, "thickness_um": 55.0}
+DIM: dict[str, Any] = {"environment": {"chip_absorption_per_cm": 200.0}}
+WIDE = DESIGN | {"distance_um": 60.0, "width_um": 100.0, "spacing_um": 300.0}
 EVENTS = ("through_dbr", "from_sides", "after_top_reflection", "after_receiver")
 Arrays = dict[str, NDArray[Any]]
 
@@ -242,11 +245,10 @@ def test_a_module_narrower_than_its_pitch_is_judged_on_its_receiver() -> None:
 
 def test_a_module_too_large_for_its_height_is_refused_before_it_is_traced() -> None:
     """As many bins as its modes need are taken up to a limit; beyond it the sides that would do are named."""
-    low = DESIGN | {"distance_um": 100.0, "thickness_um": 55.0}
-    result, _ = traced(request(design=low, array={"rows": 9, "columns": 9}, histories=8 * GROUPS * BLOCK))
+    result, _ = traced(request(design=LOW, array={"rows": 9, "columns": 9}, histories=8 * GROUPS * BLOCK))
     assert result["histories"] == 8 * GROUPS * BLOCK
     with pytest.raises(InputError, match=r"array: got '7500 x 7500 um', allowed: up to about 7440 um a side"):
-        traced(request(design=low, array={"rows": 15, "columns": 15}, histories=10**11))
+        traced(request(design=LOW, array={"rows": 15, "columns": 15}, histories=10**11))
 
 
 # Far field, rays, images
@@ -334,6 +336,8 @@ def test_the_twin_agrees_with_monte_carlo(array: dict[str, int] | None) -> None:
         ({"method": "twin", "far_field": True}, "far_field"),
         ({"method": "twin", "histories": None, "target_error_points": 1.0}, "histories"),
         ({"method": "twin", "array": {"rows": 2, "columns": 2, "wall_reflectance": 0.5}}, "layout"),
+        ({"method": "twin", "array": {"rows": 50, "columns": 50}, "design": LOW, "histories": 10**6}, "array"),
+        ({"method": "twin", "array": {"rows": 1, "columns": 1}, "design": WIDE} | DIM, "method"),
         ({"images": [{"rows": 4096, "columns": 4096}] * 2}, "images"),
         ({"images": [{"rows": 4096, "columns": 4096, "pixel_um": 1.0, "psf_um": 200.0}]}, "images"),
         ({"images": [{"pixel_um": 0.008, "psf_um": 8.0}]}, "pixel_um"),

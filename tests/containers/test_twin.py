@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from containers.bsdf import GaussianLobe, Lambertian, Mirror, Mixture
 from containers.ray_tracing.exits import Exits, Landing, make_exits
-from containers.ray_tracing.field import Axis, CellField
+from containers.ray_tracing.field import Axis, CellField, beyond_cutoff
 from containers.ray_tracing.monte_carlo import BLOCK
 from containers.ray_tracing.twin.cell import cell_field
 from containers.ray_tracing.twin.columns import COLUMNS
-from containers.ray_tracing.twin.module import ChipMap, Lights, ModuleTwin
+from containers.ray_tracing.twin.module import ChipMap, Lights, ModuleTwin, open_array
 from containers.scene import Array, Cell, Emission, Receiver, Scene, lambertian_receiver
 from luxloop.errors import InputError
 from tests.ray_scenes import scene
@@ -128,6 +128,28 @@ def test_what_the_twin_does_not_know_is_refused(dim: tuple[Scene, Exits]) -> Non
     ):
         with pytest.raises(InputError, match="open edges"):
             ModuleTwin(replace(case, layout=layout, tilt_per_um=tilt), exits)
+
+
+def test_a_module_too_large_for_its_height_is_refused(
+    dim: tuple[Scene, Exits], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where its map could not hold its waves the sides that would do are named; where it loses faint ones it says so.
+
+    50 x 50 chips 45 um below the receiver need 1,474 waves, got 511 of them, and said that nothing was left out.
+    """
+    case, exits = dim
+    low = scene({"thickness_um": 55.0}, distance_um=100.0, layout=Array.regular(50, 50, 300.0))
+    with pytest.raises(InputError, match="15000 x 15000 um") as caught:
+        ModuleTwin(low, exits)
+    side = float(caught.value.allowed.split()[3])
+    open_array(replace(low, layout=Array.regular(int(side / 300.0), int(side / 300.0), 300.0)))
+    nine = replace(case, layout=Array.regular(3, 3, 500.0))
+    assert ModuleTwin(nine, exits, blocks=1).field().truncation == 0.0
+    monkeypatch.setattr("containers.ray_tracing.twin.module.MOST_BINS", 32)
+    assert ModuleTwin(nine, exits, blocks=1).field().truncation > beyond_cutoff(case.height_um)
+    monkeypatch.setattr("containers.ray_tracing.twin.module.MOST_BINS", 24)
+    with pytest.raises(InputError, match="higher receiver"):
+        ModuleTwin(nine, exits, blocks=1)
 
 
 def test_a_finite_module_is_that_of_monte_carlo(lambert_case: tuple[Scene, Exits]) -> None:

@@ -119,6 +119,14 @@ class Exchange:
                 return found
         raise InputError("receiver", self._kept, "less light sent back and forth", "the iteration does not settle")
 
+    @property
+    def least_returned(self) -> float:
+        """The least of what comes up again of the light sent back anywhere, beside all without chips.
+
+        Below 0 the chips, to which each is a point, take more than there is.
+        """
+        return float(self._returned.min())
+
     def _past_chips(self, height_um: float, lost: float) -> Real:
         """What of the light sent back at each cell of the grid comes up again as if there were no chips."""
         returned = np.ones(self.grid.shape)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from containers.ray_tracing.arrays import EmissionArrays
 from containers.ray_tracing.exits import Exits
-from containers.ray_tracing.field import CUTOFF_X, TAPER_END, Axis, ModuleField
+from containers.ray_tracing.field import CUTOFF_X, TAPER_END, Axis, ModuleField, beyond_cutoff
 from containers.ray_tracing.packing import emission_arrays
 from containers.ray_tracing.tally import Box, Tally
 from containers.ray_tracing.twin.cell import SEED, cloud_window
@@ -41,6 +41,9 @@ PAD = 2.0
 """In distances: how far beyond the module's edge the map goes on."""
 MOST_BINS = 512
 """Along a half of one chip's map."""
+LEAST_X = 8.2305
+"""Wavenumber times height where x K1(x) is 1e-3: a map whose bins do not tell waves so short is refused. Monte Carlo
+refuses modules before they are as large."""
 SLACK = 0.25
 """In distances: of the pad, what chips may stand beyond their lattice."""
 HELD_BYTES = 128 * 2**20
@@ -62,7 +65,8 @@ class ModuleTwin:
 
     Raises
     ------
-    InputError : walls at the edge, a tilted receiver, surfaces that the twin does not know.
+    InputError : walls at the edge, a tilted receiver, surfaces that the twin does not know, a module too large for
+        its height.
 
     Notes
     -----
@@ -127,15 +131,19 @@ class ModuleTwin:
         return np.asarray(1e6 * recorded)
 
     def field(self) -> ModuleField:
-        """All groups as a field over the module and a pad beyond its edges."""
+        """All groups as a field over the module and a pad beyond its edges.
+
+        `truncation` is what the waves beyond those of the chip's map would add; 0 where only faint ones are.
+        """
         x0, x1, y0, y1 = Box.of(self.scene).ends_um
         last = TAPER_END * CUTOFF_X / self.scene.height_um / np.pi
         x, y = (Axis(low, high - low, int(last * (high - low)), "box") for low, high in ((x0, x1), (y0, y1)))
         at_x, at_y = map(_samples, (x, y))
         values = self.of_groups(at_x, at_y)
         coefficients = y.functions(at_y).T @ values @ x.functions(at_x) / (at_x.size * at_y.size)
-        histories = self.chip.histories
-        return ModuleField(coefficients, x, y, histories, 0.0, per_m2=1e6)
+        kept_x = float(self.chip.x.wavenumber_per_um.max()) * self.scene.height_um
+        left_out = beyond_cutoff(self.scene.height_um, kept_x) if kept_x < CUTOFF_X else 0.0
+        return ModuleField(coefficients, x, y, self.chip.histories, left_out, per_m2=1e6)
 
     def _waves(self, arrives: Real, leaked: Real) -> Waves:
         """All light but what comes directly from chips with these coefficients (y, x), which leak so much (y, x)."""
@@ -170,11 +178,17 @@ class ModuleTwin:
 
 
 def open_array(scene: Scene) -> Array:
-    """The layout of a scene that the twin knows as a module; InputError for any other."""
+    """The layout of a scene that the twin knows as a module; InputError for any other, and for one too large."""
     layout = scene.layout
     if not isinstance(layout, Array) or layout.wall is not None or any(scene.tilt_per_um):
         what = "walls" if isinstance(layout, Array) and layout.wall else "cell or tilt"
         raise InputError("layout", what, "a finite array with open edges, level", "use cell_field or Monte Carlo")
+    reach, most = _reach_um(scene, layout), (MOST_BINS - 1) * np.pi / LEAST_X * scene.height_um
+    if reach > most:
+        sides = f"{2 * layout.half_x_um:g} x {2 * layout.half_y_um:g} um"
+        side = max(2.0 * max(layout.half_x_um, layout.half_y_um) - (reach - most), 0.0)
+        mend = "fewer chips, a smaller pitch, or a higher receiver"
+        raise InputError("array", sides, f"up to about {side:.0f} um a side at this height", mend)
     return layout
 
 
@@ -221,13 +235,8 @@ def digest_of(way: Way, emission: EmissionArrays, *facts: object) -> str:
 
 
 def surroundings(scene: Scene, layout: Array) -> tuple[Scene, Box]:
-    """A chip at (0, 0) with as many others around it as any chip of the array sees, and bins around it; no edge.
-
-    Chips that stand a little beyond their lattice ask for no larger map: its pad is for them, too.
-    """
-    lattice = 0.5 * (max(layout.rows, layout.columns) - 1) * layout.spacing_um
-    furthest = max(lattice, float(np.abs(layout.centres_um).max()) - SLACK * scene.distance_um)
-    reach = max(layout.half_x_um, layout.half_y_um) + furthest + PAD * scene.distance_um
+    """A chip at (0, 0) with as many others around it as any chip of the array sees, and bins around it; no edge."""
+    reach = _reach_um(scene, layout)
     around = Array.regular(
         2 * layout.rows - 1, 2 * layout.columns - 1, layout.spacing_um, reach + 4.0 * scene.distance_um
     )
@@ -237,6 +246,13 @@ def surroundings(scene: Scene, layout: Array) -> tuple[Scene, Box]:
     else:
         box = Box(-reach, -reach, reach / bins, 2 * bins, 2 * bins, folded=False, cell=False)
     return replace(scene, layout=around), box
+
+
+def _reach_um(scene: Scene, layout: Array) -> float:
+    """How far one chip's map goes. Chips a little beyond their lattice ask for no larger one: its pad is for them."""
+    lattice = 0.5 * (max(layout.rows, layout.columns) - 1) * layout.spacing_um
+    furthest = max(lattice, float(np.abs(layout.centres_um).max()) - SLACK * scene.distance_um)
+    return max(layout.half_x_um, layout.half_y_um) + furthest + PAD * scene.distance_um
 
 
 def one_chip(scene: Scene, tally: Tally) -> ChipMap:

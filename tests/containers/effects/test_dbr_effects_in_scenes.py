@@ -33,7 +33,7 @@ from luxloop.effect import AppliedEffect
 from luxloop.errors import InputError
 from luxloop.film import Grid, Spectrum
 from luxloop.model import Environment
-from luxloop.ray import RayRequest
+from luxloop.ray import PredictionRequest, RayRequest
 from luxloop.words import parse
 from validation.prediction.film_tables import FIELDS
 
@@ -92,6 +92,22 @@ def test_a_film_without_the_effect_is_refused() -> None:
     assert caught.value.field == "film"
     assert "45.2 nm" in str(caught.value.value)
     assert "47.46 nm" in caught.value.allowed
+
+
+@pytest.mark.parametrize("first", [0, 1], ids=["plain, thick", "thick, plain"])
+def test_each_shot_of_a_prediction_is_asked_for_its_film(first: int) -> None:
+    """Two shots of one design and film, one of them with an effect on it: refused, whichever comes first."""
+    raw = pack(*film().to_parts())
+    plain = {
+        "environment": ENVIRONMENT.model_dump(), "design": DESIGN.model_dump(), "array": {"rows": 1, "columns": 1},
+        "film": {"sha256": hashlib.sha256(raw).hexdigest(), "bytes": len(raw)},
+    }  # fmt: skip
+    thick = plain | {"effects": [{"name": "dbr_thickness_error", "parameters": {"error_ratio": 0.05}}]}
+    shots = [plain, thick] if first == 0 else [thick, plain]
+    asked = parse(PredictionRequest, {"shots": shots})
+    with pytest.raises(InputError, match="with the same effects") as caught:
+        RayComputation(lambda *_: raw, SOURCE).compute(json.loads(asked.model_dump_json()), Progress())
+    assert caught.value.field == f"shots.{1 - first}.film"
 
 
 def test_a_fits_tables_depend_on_all_that_stack_effects_see() -> None:

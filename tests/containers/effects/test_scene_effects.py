@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -296,6 +297,18 @@ def test_walls_send_back_their_share_and_cells_have_none() -> None:
     assert mean[0] == pytest.approx(400.0 - (80.0 * 0.99 / np.sqrt(1.0 - 0.99**2) - 300.0), abs=of.height_um / 8.0)
     cell = scene()
     assert under(EdgeWalls(reflectance=0.5), cell) is cell
+
+
+def test_walls_stand_in_front_of_the_modules_own() -> None:
+    """From its off value on the effect adds to what the edge reflects; a wall that is no mirror it does not know."""
+    edge = partial(Array.regular, 1, 1, 500.0)
+    for r, both in ((0.0, 0.8), (1e-6, 0.8 + 0.2e-6), (0.5, 0.9)):
+        layout = under(EdgeWalls(reflectance=r), scene(layout=edge(wall=Mirror(0.8)))).layout
+        assert isinstance(layout, Array)
+        assert isinstance(layout.wall, Mirror)
+        assert layout.wall.reflectance == pytest.approx(both, abs=1e-12)
+    with pytest.raises(InputError, match="a mirror"):
+        under(EdgeWalls(reflectance=0.5), scene(layout=edge(wall=Lambertian(0.8))))
 
 
 @pytest.mark.parametrize("beside", [(), (PLATE,), (LEAK,), (PLATE, LEAK)], ids=["alone", "plate", "leak", "both"])
