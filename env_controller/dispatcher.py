@@ -39,6 +39,7 @@ from luxloop.words import Words
 log = logging.getLogger(__name__)
 
 TICK_S = 0.25
+DEAF_S = 1.0  # a tick that is later than this waited for our own thread: for a disk, or all of us stood still
 WHY_CHARACTERS = 500  # kept of why an attempt crashed: a compiler's message has pages
 ORPHAN_S = 30.0  # who has not asked again for so long has gone; a task that nobody else wants is withdrawn
 QUESTIONS = ("submit", "withdraw", "status", "hello", "pull", "done", "begin", "act", "note", "end")
@@ -84,7 +85,7 @@ class Dispatcher:
             settings.runs_dir, self._want, self._unwant, lives=self._lives, later=self._inbox.offer
         )
         self._ended: deque[tuple[m.Task, bytes, bool]] = deque()  # what runs wanted, not yet told to them; if kept
-        self._started_s = time.monotonic()
+        self._started_s = self._ticked_s = time.monotonic()
 
     def run(self, stop: threading.Event) -> None:
         """Serve until `stop` is set; whatever ends it, every journal is finished.
@@ -118,6 +119,9 @@ class Dispatcher:
             if event is not None:
                 self.take(event)
             if time.monotonic() >= next_tick_s:
+                for _ in range(len(self._inbox)):  # a beat that lies in there ends a silence
+                    if not stop.is_set() and (event := self._inbox.take(0.0)) is not None:
+                        self.take(event)
                 with _going_on("a tick"):
                     self._tick()
                 next_tick_s = time.monotonic() + TICK_S
@@ -350,7 +354,10 @@ class Dispatcher:
 
     def _tick(self) -> None:
         now = time.monotonic()
-        self._perform(self.core.handle(e.Tick(now)))
+        late_s, self._ticked_s = now - self._ticked_s - TICK_S, now
+        deaf_s = late_s if late_s > DEAF_S else 0.0
+        self._roster.leave_out(deaf_s, now)
+        self._perform(self.core.handle(e.Tick(now, deaf_s)))
         for poll in [poll for poll, (until_s, _) in self._polls.items() if now > until_s]:
             self._perform(self.core.handle(e.PollOver(now, poll)))
         for task_id, wanted in list(self._wanted.items()):

@@ -109,7 +109,12 @@ class Beat(Event):
 
 @dataclass(frozen=True)
 class Tick(Event):
-    """Time has passed; look for silence, time limits and lost patience."""
+    """Time has passed; look for silence, time limits and lost patience.
+
+    For `deaf_s` of it, up to now, we listened to nobody: that is as if it had not been.
+    """
+
+    deaf_s: float = 0.0
 
 
 @dataclass(frozen=True)

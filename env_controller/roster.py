@@ -43,6 +43,11 @@ class Roster:
         known.beat, known.heard_s, known.skew_s = beat, now_s, time.time() - beat.sent_unix_s
         return True
 
+    def leave_out(self, deaf_s: float, now_s: float) -> None:
+        """For so long nobody was listened to: that is no worker's silence."""
+        for known in self._workers.values():
+            known.heard_s = min(known.heard_s + deaf_s, now_s)
+
     def unheard(self, now_s: float) -> list[str]:
         """Those not heard of for `GONE_S`."""
         return [name for name, known in self._workers.items() if now_s - known.heard_s > GONE_S]

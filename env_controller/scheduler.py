@@ -233,6 +233,7 @@ class Scheduler:
         return self._match(worker.kind, event.at_s) if worker else []
 
     def _tick(self, event: e.Tick) -> list[e.Command]:
+        self._leave_out(event.deaf_s, event.at_s)
         commands: list[e.Command] = []
         for lease in self._all_leases():
             worker, task = self.workers[lease.worker], self.tasks[lease.task_id]
@@ -246,6 +247,15 @@ class Scheduler:
             commands += self._requeue(lease, event.at_s, why, code=code)
         commands += self._lose_patience(event.at_s)
         return commands + [one for kind in list(self.ready) for one in self._match(kind, event.at_s)]
+
+    def _leave_out(self, deaf_s: float, at_s: float) -> None:
+        """Silence, limits and patience count from later by the time in which we were deaf; never from the future."""
+        for worker in self.workers.values():
+            worker.heard_s = min(worker.heard_s + deaf_s, at_s)
+        for lease in self._all_leases():
+            lease.granted_s = min(lease.granted_s + deaf_s, at_s)
+        for task in self.tasks.values():
+            task.since_s = min(task.since_s + deaf_s, at_s)
 
     def _lose_patience(self, at_s: float) -> list[e.Command]:
         """End the tasks that have waited too long for a worker of their kind to appear."""

@@ -98,8 +98,8 @@ class Client:
             try:
                 parcel = ask_for(self._bus, key, submit, row.time_limit_s, cancelled=until, fetch=self._fetch)
             except RemoteError as error:
-                if error.failure.code == "not_found" and not submit.fresh:
-                    submit = submit.model_copy(update={"fresh": True})  # large arrays have gone with their holder
+                if error.failure.code == "not_found" and not fresh:  # large arrays have gone with their holder
+                    fresh, submit = True, submit.model_copy(update={"fresh": True})
                     continue
                 if error.failure.code not in AGAIN or until.is_set():
                     raise
@@ -108,9 +108,9 @@ class Client:
                     raise
                 time.sleep(0.2)
                 continue
-            lost_since_s = None
             if not isinstance(parcel.message, Pending):
                 return _answer(parcel)
+            lost_since_s, submit = None, submit.model_copy(update={"fresh": False})  # what ends now is fresh
             if on_pending is not None:
                 on_pending(parcel.message)
 

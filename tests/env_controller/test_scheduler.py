@@ -102,6 +102,36 @@ def test_the_limit_of_a_task_is_the_longest_that_was_asked_for() -> None:
     assert story.core.handle(e.Tick(100.5)) == [e.Stop("w1", A, 1)]
 
 
+def test_time_in_which_we_were_deaf_is_held_against_nobody() -> None:
+    """Not against a worker's silence, a task's limit or its asker's patience; afterwards all go on as before."""
+    story = Story(silence_s=6.0)
+    story.join()
+    story.submit(limit_s=10.0)
+    story.poll()
+    story.core.handle(e.Submitted(0.0, B, "ray", patience_s=10.0))
+    assert story.core.handle(e.Tick(5.0)) == []
+    assert story.core.handle(e.Tick(55.0, deaf_s=50.0)) == []
+    story.core.handle(e.Beat(56.0, "w1"))
+    assert story.core.handle(e.Tick(60.0)) == []
+    assert story.core.handle(e.Tick(60.5)) == [e.Stop("w1", A, 1), e.Finish(B, "no_worker")]
+
+
+def test_a_silent_worker_is_overtaken_although_we_were_deaf() -> None:
+    """Nothing was heard of it before, nor in the time that counts."""
+    story = Story(silence_s=6.0).leased()
+    assert story.core.handle(e.Tick(55.0, deaf_s=50.0)) == []
+    assert story.core.handle(e.Tick(56.0)) == []
+    assert story.core.handle(e.Tick(56.5)) == [e.Stop("w1", A, 1)]
+
+
+def test_who_was_heard_when_we_came_to_is_silent_from_then_on() -> None:
+    """The beat lay in the inbox of a controller that was deaf for 50 s: it does not count for the 50 s to come."""
+    story = Story(silence_s=6.0).leased()
+    story.core.handle(e.Beat(50.0, "w1"))
+    assert story.core.handle(e.Tick(50.0, deaf_s=50.0)) == []
+    assert story.core.handle(e.Tick(56.5)) == [e.Stop("w1", A, 1)]
+
+
 def test_a_poison_task_is_set_aside_after_three_attempts() -> None:
     """Three workers die of a task; it ends as failed with the history of all three, and no fourth gets it."""
     story = Story(attempts=3)

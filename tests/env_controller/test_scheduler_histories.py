@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 from collections import Counter
+from dataclasses import replace
 
 import pytest
 from hypothesis import given, settings
@@ -198,9 +199,9 @@ def live_through_histories(count: int, steps: int) -> None:
         world.settle()
 
 
-def test_the_same_events_give_the_same_commands() -> None:
-    """Replaying a history through a new core gives command for command the same: nothing hides in clocks or order."""
-    world = FaultyWorld(7)
+def lived(seed: int, steps: int) -> tuple[list[e.Event], list[list[e.Command]]]:
+    """The events of a random history, and what the core wanted done at each."""
+    world = FaultyWorld(seed)
     events: list[e.Event] = []
     commands: list[list[e.Command]] = []
     handle = world.core.handle
@@ -211,9 +212,33 @@ def test_the_same_events_give_the_same_commands() -> None:
         return commands[-1]
 
     world.core.handle = recording  # type: ignore[method-assign]
-    for _ in range(300):
+    for _ in range(steps):
         world.step()
+    return events, commands
+
+
+def live_again(events: list[e.Event]) -> list[list[e.Command]]:
+    """What a new core wants done at the same events."""
     again = Scheduler("e1", attempts=3, silence_s=6.0)
     for _ in range(8):
         again._durations.note("film", 0.1)
-    assert [again.handle(event) for event in events] == commands
+    return [again.handle(event) for event in events]
+
+
+def test_the_same_events_give_the_same_commands() -> None:
+    """Replaying a history through a new core gives command for command the same: nothing hides in clocks or order."""
+    events, commands = lived(7, 300)
+    assert live_again(events) == commands
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_time_in_which_we_were_deaf_is_as_if_it_had_not_been(seed: int) -> None:
+    """With 50 s before every tick in which nobody listened, the core wants the same done at each event."""
+    plain, deaf, later_s = [], [], 0.0
+    for event in lived(seed, 300)[0]:
+        at_s = int(event.at_s * 64) / 64  # sums of these are exact
+        plain.append(replace(event, at_s=at_s))
+        later_s += 50.0 * isinstance(event, e.Tick)
+        gap = {"deaf_s": 50.0} if isinstance(event, e.Tick) else {}
+        deaf.append(replace(event, at_s=at_s + later_s, **gap))
+    assert live_again(deaf) == live_again(plain)

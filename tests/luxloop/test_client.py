@@ -9,9 +9,20 @@ from typing import Any
 import pytest
 
 from luxloop import client as clients
+from luxloop.bus.frame import Parcel
 from luxloop.client import Client
 from luxloop.errors import RemoteError
+from luxloop.failure import Failure
+from luxloop.messages import Outcome, Pending, Submit, Task
 from luxloop.settings import Settings
+from luxloop.words import Words
+from tests.local_bus import LocalBus, LocalRouter
+
+TASK = Task(kind="film", inputs={}, version="v")
+PENDING = Pending(task_id=TASK.id, state="running")
+OUTCOME = Outcome(task_id=TASK.id, result={"R": 0.5})
+GONE = Failure(code="not_found", message="nobody holds its arrays")
+BUSY = Failure(code="busy", message="queue full")
 
 
 def test_a_set_that_ends_at_once_is_told_from_one_that_is_slow(
@@ -42,3 +53,55 @@ def test_ctrl_c_while_a_set_starts_ends_it(settings: Settings, monkeypatch: pyte
     with pytest.raises(KeyboardInterrupt):
         Client(settings)
     assert started[0].poll() is not None
+
+
+class TestFresh:
+    """What is computed again, and how often."""
+
+    @pytest.mark.parametrize(
+        ("fresh", "answers", "asked"),
+        [
+            (True, [PENDING, PENDING, OUTCOME], [True, False, False]),
+            (True, [BUSY, PENDING, OUTCOME], [True, True, False]),
+            (False, [PENDING, OUTCOME], [False, False]),
+            (False, [GONE, PENDING, OUTCOME], [False, True, False]),
+        ],
+    )
+    def test_one_who_waits_for_it_does_not_wish_it_fresh_again(
+        self, monkeypatch: pytest.MonkeyPatch, fresh: bool, answers: list[Words], asked: list[bool]
+    ) -> None:
+        """What was delivered between a Pending and the next question is the fresh answer."""
+        wishes = scripted(monkeypatch, answers)
+        with Client(Settings()) as client:
+            assert client.run(TASK, fresh=fresh).result == {"R": 0.5}
+        assert wishes == asked
+
+    @pytest.mark.parametrize(("fresh", "tries"), [(True, 1), (False, 2)])
+    def test_arrays_that_are_gone_are_computed_once_more(
+        self, monkeypatch: pytest.MonkeyPatch, fresh: bool, tries: int
+    ) -> None:
+        """And not for ever, where they have gone again."""
+        wishes = scripted(monkeypatch, [PENDING, GONE] * 9)
+        with Client(Settings()) as client, pytest.raises(RemoteError, match="nobody holds"):
+            client.run(TASK, fresh=fresh)
+        assert wishes == [fresh, False, True, False][: 2 * tries]
+
+
+def scripted(monkeypatch: pytest.MonkeyPatch, answers: list[Words]) -> list[bool]:
+    """Let clients be told these answers; whether each of their wishes was for a fresh computation."""
+    wishes: list[bool] = []
+    left = iter(answers)
+
+    def told(_bus: LocalBus, _key: str, message: Words, *_: Any, **__: Any) -> Parcel:
+        assert isinstance(message, Submit)
+        wishes.append(message.fresh)
+        answer = next(left)
+        if isinstance(answer, Failure):
+            raise RemoteError(answer)
+        return Parcel(answer)
+
+    monkeypatch.setattr(Client, "status", lambda *_: None)
+    monkeypatch.setattr(clients, "answering", lambda *_: True)
+    monkeypatch.setattr(clients, "ZenohBus", lambda _: LocalBus(LocalRouter()))
+    monkeypatch.setattr(clients, "ask_for", told)
+    return wishes
