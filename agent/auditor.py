@@ -69,10 +69,11 @@ def re_decide(journal: RunJournal, say: Callable[[Compared], None], *, same_mach
     )  # fmt: skip
     timed = past.end is not None and past.end.reason.startswith(TIME) and campaign.stop.time_s is not None
     walked = sum(not one.step.final for one in past.steps.values())
-    runner = Runner(
+    runner = Walker(
         door, chooser, campaign.stop.model_copy(update={"time_s": None}), lanes=campaign.lanes, seed=campaign.seed,
         past=Past(walked, end=past.end if timed else None), on_walk_end=lambda end: walk_end(past, end, Place(say)),
     )  # fmt: skip
+    runner.recorded = past.end
     try:
         found = runner.run(campaign.finalists, without_dbr=plan.kind == "campaign")
     except (Diverged, JournalEnds):
@@ -80,6 +81,19 @@ def re_decide(journal: RunJournal, say: Callable[[Compared], None], *, same_mach
     left_over(door, found, say)
     if found is not None and not door.diverged:
         result(past, found, Place(say))
+
+
+class Walker(Runner):
+    """A runner that counts episodes without a gain as today or, where the record says so, as once: all begun ones."""
+
+    recorded: WalkEnd | None = None
+
+    def saturation(self, under_way: int) -> str:
+        """As a runner says it; of an older run at its end by the count of then."""
+        end, then = self.recorded, super().saturation(0)
+        if end is not None and (self.progress.steps, then) == (end.steps, end.reason):
+            return then
+        return super().saturation(under_way)
 
 
 def walk_end(past: Record, now: WalkEnd, at: Place) -> None:

@@ -197,10 +197,15 @@ class Runner:
             return f"steps: {seen.steps}, of {seen.evaluations} designs"
         if stop.time_s is not None and seen.wall_s >= stop.time_s and seen.steps > self._past.steps:
             return f"time: {seen.wall_s:.0f} s"
-        quiet = seen.episodes - self._lanes - seen.gained_episode  # so many are over: a lane has but one under way
-        if stop.episodes_without_gain is not None and quiet >= stop.episodes_without_gain:
-            return f"saturation: no gain above twice its error in {quiet} episodes"
-        return ""
+        return self.saturation(self._lanes)
+
+    def saturation(self, under_way: int) -> str:
+        """Whether so many episodes without a gain are over that it is enough; `under_way` are not: one of a lane."""
+        seen, enough = self.progress, self._stop.episodes_without_gain
+        quiet = seen.episodes - under_way - seen.gained_episode
+        if enough is None or quiet < enough:
+            return ""
+        return f"saturation: no gain above twice its error in {quiet} episodes"
 
     def _finals(self, pool: ThreadPoolExecutor, reason: str, count: int, without_dbr: bool) -> Found:
         """The best of the walk and where it began, then the winner once more and without its mirror.

@@ -109,13 +109,18 @@ class Campaign(Words):
         return parse(Plan, plain, "plan")
 
 
-def read_campaign(path: Path | None, **given: Any) -> Campaign:
+def read_campaign(path: Path | None, *, compared: bool = False, **given: Any) -> Campaign:
     """The settings in a TOML file (none: the defaults), what is given (not None) over them.
 
-    `bounds` may be a preset's name; `learning` goes over the designer's preset. Raises InputError naming file, field,
-    value and range.
+    `bounds` may be a preset's name; `learning` goes over the designer's preset. A method or a search that is given
+    goes over what it does not look at, too. `compared`: the settings are of several designers. Raises InputError
+    naming file, field, value and range.
     """
     plain: dict[str, Any] = toml_of(read_text(path, "--config", "a TOML file"), path.name) if path else {}
+    if (method := given.get("method")) is not None:
+        plain.pop("walk_error_points" if method == "twin" else "twin_histories", None)
+    if given.get("designer") in SEARCHES and isinstance(plain.get("stop"), dict):
+        plain["stop"].pop("episodes_without_gain", None)
     for name, value in given.items():
         if value is not None:
             part, _, field = name.partition("__")
@@ -133,7 +138,7 @@ def read_campaign(path: Path | None, **given: Any) -> Campaign:
     campaign = parse(Campaign, plain, where)
     if campaign.learning is not None:
         _refuse_unmeant(campaign, campaign.learning, f"{where}: learning")
-    _refuse_idle(campaign, where)
+    _refuse_idle(campaign, where, compared)
     return campaign
 
 
@@ -143,7 +148,7 @@ def _over(preset: Learning, own: dict[str, Any]) -> dict[str, Any]:
     return preset.model_dump() | patience | own
 
 
-def _refuse_idle(campaign: Campaign, where: str) -> None:
+def _refuse_idle(campaign: Campaign, where: str, compared: bool) -> None:
     """InputError for what a person asks for beside a method or a designer that does not look at it."""
     idle, acting, method = "twin_histories", "walk_error_points", "twin"
     if campaign.method == "twin":
@@ -152,7 +157,7 @@ def _refuse_idle(campaign: Campaign, where: str) -> None:
         mend = f"leave it out: {acting} says how exact this walk is"
         raise InputError(f"{where}: {idle}", getattr(campaign, idle), f'with method = "{method}" only', mend)
     quiet = campaign.stop.episodes_without_gain
-    if quiet is not None and campaign.designer in SEARCHES:
+    if quiet is not None and campaign.designer in SEARCHES and not compared:
         mend = f"leave it out: {campaign.designer} has no episodes"
         raise InputError(f"{where}: stop.episodes_without_gain", quiet, "with a learner (ddqn-...) only", mend)
 

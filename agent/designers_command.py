@@ -64,7 +64,7 @@ def compare(
     from agent.comparison import compare as compared
     from agent.comparison import refuse_own, rows
     from agent.config import read_campaign
-    from agent.designers import NAMES
+    from agent.designers import NAMES, SEARCHES
     from agent.launch import launch, running_set, warn
 
     names = [name.strip() for name in designers.split(",") if name.strip()]
@@ -74,10 +74,13 @@ def compare(
             raise InputError("--designers", name, " or ".join(NAMES), mend)
     settings = load_settings(router=router, runs=runs)
     campaign = read_campaign(
-        config, bounds=bounds, method=method, walk_error_points=walk_error, final_error_points=final_error,
-        lanes=lanes, stop__evaluations=evaluations,
+        config, compared=True, bounds=bounds, method=method, walk_error_points=walk_error,
+        final_error_points=final_error, lanes=lanes, stop__evaluations=evaluations,
     )  # fmt: skip
     refuse_own(campaign)
+    searches = ", ".join(name for name in names if name in SEARCHES)
+    if campaign.stop.episodes_without_gain is not None and searches and not quiet:
+        warn(f"{config}: stop.episodes_without_gain is not used by {searches}: they have no episodes")
     for field in UNUSED if config and not quiet else ():
         if field in campaign.model_fields_set:
             warn(f"{config}: {field} = {getattr(campaign, field)!r} is not used: {UNUSED[field]}")

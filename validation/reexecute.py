@@ -199,7 +199,16 @@ def fitted(journal: RunJournal, step: Any, answers: FromAnswers, at: Place) -> N
         return
     now = json.loads(json.dumps(found))  # as the journal has it
     for part in [part for part in PARTS if part in document and part in now]:
-        at.exact(f"the fit anew, {part}", document[part], now[part])
+        at.exact(f"the fit anew, {part}", document[part], _told_then(document[part], now[part]))
+
+
+def _told_then(old: Any, now: Any) -> Any:
+    """What is told now, without what documents have been given since the old one was written."""
+    if isinstance(old, dict) and isinstance(now, dict):
+        return {name: _told_then(old[name], value) for name, value in now.items() if name in old}
+    if isinstance(old, list) and isinstance(now, list) and len(old) == len(now):
+        return [_told_then(*pair) for pair in zip(old, now, strict=True)]
+    return now
 
 
 def compared_again(step: Any, model: Model, answers: FromAnswers) -> Plain:

@@ -90,9 +90,10 @@ def work(document: Document) -> Iterator[str]:
     rows += [(name, count, time, NOTHING, best) for name, count, time, best in PAPER_WORK]
     heads = ("", "designs evaluated", "wall time", "computing time of workers", "best uniformity")
     caption = (
-        "As Table 6; the walk alone, finalists and pauses between starts aside. Projected: the grid's feasible"
-        " designs times the mean computing time of a design in this walk, at its fidelity and on its machine; nobody"
-        " computed it. Workers run side by side, so computing time may exceed wall time."
+        "As Table 6; the walk alone, while something was under way: finalists, pauses between starts, and a learner"
+        " that thinks while nothing is computed, aside. Projected: the grid's feasible designs times the mean"
+        " computing time of a design in this walk, at its fidelity and on its machine; nobody computed it. Workers"
+        " run side by side, so computing time may exceed wall time."
     )
     yield html.table(heads, rows, caption)
     grid = document["grid"]

@@ -174,6 +174,29 @@ def test_a_walk_that_its_time_ended_ends_there_again(tmp_path: Path) -> None:
     assert len(verdicts(said, "proposal")) == len(list(journal.steps()))
 
 
+@pytest.mark.parametrize("older", [False, True])
+def test_a_saturation_is_counted_again_also_as_it_was(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, older: bool
+) -> None:
+    """Older runs counted episodes that had only begun; a count that is neither is named."""
+    now = Runner.saturation
+    with monkeypatch.context() as patch:
+        if older:
+            patch.setattr(Runner, "saturation", lambda runner, _: now(runner, 0))
+        stop = {"evaluations": 200, "episodes_without_gain": 3}
+        journal = recorded(tmp_path / "r", "ddqn-fast", lanes=3, stop=stop)
+    assert {one.verdict for one in compared(journal)} == {"identical"}
+
+    def change(entry: Record) -> Record:
+        if entry.topic != "/log" or "saturation" not in entry.value.message or "after" not in entry.value.message:
+            return entry
+        line = entry.value.message.replace(" in 3 episodes", " in 4 episodes")
+        return log_record(line, entry.sequence, entry.log_time_ns, name=entry.value.name)
+
+    found = first_of(compared(forged(journal, change)))
+    assert found.what == ("proposal" if older else "end of the walk"), "an older walk goes on by the count of today"
+
+
 def test_a_run_that_was_killed_is_decided_as_far_as_it_goes(tmp_path: Path) -> None:
     """Half of its records: all of them are the same, nothing is said of the rest."""
     journal = recorded(tmp_path / "r", "ddqn-fast", lanes=2, keep=26)

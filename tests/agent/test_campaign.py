@@ -370,6 +370,12 @@ def test_options_go_over_the_file(tmp_path: Any) -> None:
     path.write_text("seed = 4\nlanes = 2\n[stop]\nevaluations = 9\ntime_s = 5.0")
     campaign = read_campaign(path, seed=7, lanes=None, stop__evaluations=11)
     assert (campaign.seed, campaign.lanes, campaign.stop.evaluations, campaign.stop.time_s) == (7, 2, 11, 5.0)
+    path.write_text("method = 'twin'\ntwin_histories = 4096\n[stop]\nepisodes_without_gain = 3")
+    campaign = read_campaign(path, designer="pattern", method="monte_carlo")
+    assert "twin_histories" not in campaign.model_fields_set, "what only the file's method looks at goes with it"
+    assert campaign.stop.episodes_without_gain is None
+    path.write_text("designer = 'pattern'\n[stop]\nepisodes_without_gain = 3")
+    assert read_campaign(path, compared=True).stop.episodes_without_gain == 3
 
 
 @pytest.mark.parametrize("name", ["ddqn-fast", "ddqn-fast-random", "ddqn-paper", "ddqn-paper-random"])

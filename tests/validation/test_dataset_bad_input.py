@@ -355,11 +355,20 @@ def test_a_pitch_that_contradicts_the_lattice_is_told(folder: Path, old: str, ne
 
 
 def test_a_spacing_may_be_the_gap_between_the_chips_of_the_lattice(folder: Path) -> None:
-    """Chips of 120 um, 280 um apart: 400 um from centre to centre, as in the image."""
+    """Chips of 120 um, 280 um apart: 400 um from centre to centre, as in the image. Only a model can say so."""
     before, mark, after = MANIFEST.partition('id = "many"')
     wide = after.replace("width_um = 40.0", "width_um = 120.0").replace("spacing_um = 400.0", "spacing_um = 280.0")
     (folder / "dataset.toml").write_text(before + mark + wide)
     assert found(folder) == []
+    (told,) = (one for one in found(folder, "warning") if one.field == "pitch")
+    assert 'spacing_is = "gap"' in told.mend
+
+
+def test_a_scale_that_fits_the_gap_alone_is_told(folder: Path) -> None:
+    """A fifth off with chips of 40 um: within reach of the other reading, so it may not pass in silence."""
+    before, mark, after = MANIFEST.partition('id = "many"')
+    (folder / "dataset.toml").write_text(before.replace("pixel_um = 24.0", "pixel_um = 28.8") + mark + after)
+    assert "pitch" in {one.field for level in ("warning", "error") for one in found(folder, level)}
 
 
 def test_swapped_axes_are_told(folder: Path) -> None:
@@ -391,7 +400,6 @@ TABLES = {
     "empty": ("spectra/t.csv", BELOW, "\n", "rows", ""),
     "far field sigma": ("far/g.csv", "0,0,1.0,0.01", "0,0,1.0,0", "line 2: sigma", "standard deviation"),
     "far field twice": ("far/g.csv", FAR_FIELD.splitlines()[2], "0,0,1,0.01", "line 3: duplicate", "line 2 has it"),
-    "a turn further": ("far/g.csv", "30,0,0.9,0.01", "30,-0.1,1,1\n30,359.9,1,1", "line 4: duplicate", "line 3"),
     "far field columns": ("far/g.csv", "theta_deg,phi_deg", "theta,phi", "line 1", "the first line names them"),
 }  # fmt: skip
 

@@ -260,12 +260,12 @@ def _of_lattice(
 def _of_pitch(
     lattice: Lattice, expected_px: float, camera: CameraFacts, sample: Sample, shot: ImageShot
 ) -> Iterator[Told]:
-    """A pitch that is neither the spacing nor, as a model may take it, the spacing and a chip's width."""
-    readings_px = (expected_px, sample.pitch_um("gap") / camera.pixel_um)
-    off = min(abs(lattice.pitch_px / one - 1.0) for one in readings_px)
+    """A pitch that is not the spacing; a warning where it is, as a model may take it, spacing and a chip's width."""
     many = max(lattice.rows, lattice.columns) >= 4
-    if off <= (PITCH_TOLERANCE if many else PITCH_TOLERANCE_OF_FEW):
+    tolerance = PITCH_TOLERANCE if many else PITCH_TOLERANCE_OF_FEW
+    if abs(lattice.pitch_px / expected_px - 1.0) <= tolerance:
         return
+    is_gap = abs(lattice.pitch_px * camera.pixel_um / sample.pitch_um("gap") - 1.0) <= tolerance
     fitting_um = sample.spacing_um / lattice.pitch_px
     value = f"chips {lattice.pitch_px:.1f} px apart"
     allowed = f"{expected_px:.1f} px: spacing_um {sample.spacing_um:g} / pixel_um {camera.pixel_um:g}"
@@ -273,4 +273,6 @@ def _of_pitch(
     pitches = [pitch for pitch in (lattice.row_pitch_px, lattice.column_pitch_px) if pitch is not None]
     sure = min(lattice.rows, lattice.columns) >= 3 and max(pitches) <= 1.1 * min(pitches)
     level: Level = "error" if sure or 1 in (sample.rows, sample.columns) else "warning"
+    if is_gap:
+        level, mend = "warning", f'{mend}; or the model says spacing_is = "gap", the gap between chips'
     yield Told(InputError(f"{shot.file}: pitch", value, allowed, mend), level)

@@ -277,20 +277,12 @@ def _duplicates(rows: Sequence[tuple[int, Row]], columns: tuple[str, ...], name:
     """Rows that say the same place a second time."""
     first: dict[tuple[float | str, ...], int] = {}
     for line, row in rows:
-        key = tuple(_comparable(row[column].strip(), column) for column in columns)
+        key = tuple(_number(row[column].strip()) for column in columns)
         if key in first:
             place = ", ".join(row[column].strip() for column in columns)
             mend = f"line {first[key]} has it already: average the two"
             yield InputError(f"{name}: line {line}: duplicate", place, "each place once", mend)
         first.setdefault(key, line)
-
-
-def _comparable(cell: str, column: str) -> float | str:
-    """A cell's number, phi within one turn. A goniometer passes theta 0 in every plane: that is no duplicate."""
-    number = _number(cell)
-    if isinstance(number, str) or column != "phi_deg":
-        return number
-    return round(number % 360.0, 9) % 360.0
 
 
 def _number(cell: str) -> float | str:
