@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from viewer import calibration_figures as figures
 from viewer import html
-from viewer.comparison_tables import number, provenance, warnings
+from viewer.comparison_tables import number, provenance, unit, warnings
 from viewer.html import NOTHING, paragraph
 from viewer.look import save
 
@@ -186,15 +186,20 @@ def _errors(document: Document) -> Iterator[str]:
         "Rms error of each shot with the model before and after; upright line: its noise, below which no model comes"
         " but by fitting the noise."
     )
-    pictures = {"error of each shot before and after": figures.error_picture(errors)}
+    units = {shot["id"]: unit(shot) for shot in document.get("shots", ())}
+    pictures = {"error of each shot before and after": figures.error_picture(errors, units)}
     yield html.row(pictures, "two", caption, document["command"])
     nothing: Document = {"rms_error_percent": {}, "noise_percent": {}}
     both = errors.get("before", nothing), errors["after"]
     rows = [
-        (name, *(number(one[what].get(name)) for one in both for what in ("rms_error_percent", "noise_percent")))
-        for name in errors["after"]["rms_error_percent"]
-    ]
-    yield html.table(("shot", "before, %", "noise, %", "after, %", "noise, %"), rows)
+        (name, *(_in(units.get(name, "%"), one[what].get(name)) for one in both for what in
+                 ("rms_error_percent", "noise_percent"))) for name in errors["after"]["rms_error_percent"]
+    ]  # fmt: skip
+    yield html.table(("shot", "before", "noise", "after", "noise"), rows)
+
+
+def _in(unit: str, value: float | None) -> str:
+    return NOTHING if value is None else f"{number(value)} {unit}"
 
 
 def _with_error(one: Document | None) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from validation.auditor import compared as re_derived
 from validation.auditor import decided
 from validation.calibrate_command import paths_of
 from validation.calibration import calibrated
+from validation.compare_command import errors_of as errors_kept
 from validation.comparing import Solver, compared, differing
 from validation.observed import Observed
 from validation.profiles import profiles
@@ -205,7 +207,19 @@ def test_a_calibration_tells_values_errors_and_what_became_of_the_file() -> None
     lost = replace(found, asked=(*found.asked, "environment.receiver.sigma_deg")).document()
     assert (lost["fit"]["unseen"], lost["fit"]["left_out"]) == ([], ["environment.receiver.sigma_deg"])
     assert "mine.toml is as it was" in "\n".join(told.calibration(document | {"version": None}))
-    assert "mine.toml is version 3" in "\n".join(told.calibration(document | {"version": 3}))
+    text = "\n".join(told.calibration(document | {"version": 3}))
+    assert "mine.toml is version 3" in text
+    document["shots"][0]["unit"] = "deg"  # as that of psi
+    in_degrees = "\n".join(told.calibration(document | {"version": 3}))
+    assert [in_degrees.count(unit) - text.count(unit) for unit in (" deg", " %")] == [4, -4]
+
+
+def test_a_version_keeps_errors_of_angles_in_degrees() -> None:
+    """Of all other shots in percent."""
+    psi = {"id": "psi", "unit": "deg", "rms_error": 0.5, "rms_error_percent": 0.5}
+    shots = [psi, {"id": "R", "unit": "1", "rms_error": 0.01, "rms_error_percent": 3.0}]
+    found: Any = SimpleNamespace(document=lambda: {"shots": shots}, structure=SimpleNamespace(p=0.2))
+    assert errors_kept(found) == {"psi rms deg": 0.5, "R rms %": 3.0, "p": 0.2}
 
 
 def test_a_changed_pixel_of_a_residual_is_found_by_the_replay() -> None:

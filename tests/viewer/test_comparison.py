@@ -357,3 +357,14 @@ def test_an_image_without_a_used_pixel_is_drawn() -> None:
     arrays["a/measured_dn"][:] = np.nan
     arrays["a/z"][:] = np.nan
     assert len(loads_nothing(page_of(comparison([shot]), arrays)).pictures) == 6 + 3
+
+
+def test_errors_of_angles_are_told_in_degrees() -> None:
+    """Those of psi and delta; of the other shots percent, at the head of the page and in the table."""
+    arrays: Arrays = {}
+    angle = spectrum(arrays, "delta") | {"unit": "deg", "rms_error": 1.4, "noise": 0.1, "noise_percent": 0.1}
+    page = page_of(comparison([spectrum(arrays, "R") | {"unit": "1"}, angle]), arrays)
+    text = Parsed(page).text
+    assert "1.4 deg rms error of delta, most above its noise of 0.1 deg" in text
+    assert "1.40 deg 0.10 deg" in text
+    assert "1.40 % 0.90 %" in text
