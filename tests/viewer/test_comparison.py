@@ -368,3 +368,11 @@ def test_errors_of_angles_are_told_in_degrees() -> None:
     assert "1.4 deg rms error of delta, most above its noise of 0.1 deg" in text
     assert "1.40 deg 0.10 deg" in text
     assert "1.40 % 0.90 %" in text
+
+
+def test_the_mse_is_said_to_be_on_the_scale_that_it_is_on() -> None:
+    """A share of the measured maximum squared."""
+    arrays: Arrays = {}
+    text = Parsed(page_of(comparison([image(arrays, "single-0")]), arrays)).text
+    assert "images scaled to the measured maximum, 0 to 1." in text
+    assert "255" not in text
