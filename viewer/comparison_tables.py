@@ -64,9 +64,10 @@ def shots(document: Document) -> Iterator[str]:
     caption = (
         "Rms error and noise: root mean square over the used pixels, the second what noise alone is expected to give;"
         " in percent of the mean signal, of psi and delta in degrees."
-        " MSE (Eq. 1): images scaled to the measured maximum, 0 to 1. z and structure p: the largest standardised"
-        " contrast of the shot and how often noise alone, with the fit repeated, gives as large a one. χ² / pixel is"
-        " 1 where only noise is left; it is too blunt to vote."
+        " MSE (Eq. 1): images scaled to the measured maximum, 0 to 1. Structure p: how often noise alone, with the"
+        " fit repeated, gives as large a standardised contrast somewhere in the shot; z: that p as a normal"
+        " distribution's sigma, so no larger than the draws can tell. χ² / pixel is 1 where only noise is left; it is"
+        " too blunt to vote."
     )
     yield html.table(heads, rows, caption, words=3 if told else 2, ending=1)
 

@@ -376,3 +376,10 @@ def test_the_mse_is_said_to_be_on_the_scale_that_it_is_on() -> None:
     text = Parsed(page_of(comparison([image(arrays, "single-0")]), arrays)).text
     assert "images scaled to the measured maximum, 0 to 1." in text
     assert "255" not in text
+
+
+def test_z_is_said_to_be_that_of_p() -> None:
+    """Not the largest contrast, which may be far larger."""
+    arrays: Arrays = {}
+    text = Parsed(page_of(comparison([image(arrays, "single-0")]), arrays)).text
+    assert "z: that p as a normal distribution's sigma, so no larger than the draws can tell" in text
