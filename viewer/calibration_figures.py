@@ -108,7 +108,7 @@ def error_picture(errors: Mapping[str, Document], units: Mapping[str, str]) -> b
         return svg(error_figure(errors, units))
 
 
-def error_figure(errors: Mapping[str, Document], units: Mapping[str, str]) -> Figure:
+def error_figure(errors: Mapping[str, Document], units: Mapping[str, str], title: str = "") -> Figure:
     """Rms error of each shot before and after, and its noise, which no model can go below.
 
     `units` of the shots' errors: percent where none is told; shots in degrees have axes of their own.
@@ -123,6 +123,7 @@ def error_figure(errors: Mapping[str, Document], units: Mapping[str, str]) -> Fi
         for axes, (unit, names) in zip(panes, groups.items(), strict=True):
             _error_axes(axes, errors, names)
             axes.set_xlabel(f"rms error ({unit})")
+        figure.suptitle(title, fontsize=8, x=0.01, ha="left")
         figure.legend(*panes[0].get_legend_handles_labels(), loc="outside lower left", ncols=3)
         return figure
 

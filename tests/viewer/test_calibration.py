@@ -195,3 +195,12 @@ def test_errors_of_angles_are_told_in_degrees() -> None:
     figure = error_figure({one["model"]: one for one in document["errors"]}, {SHOTS[0]: "deg"})
     assert [axes.get_xlabel() for axes in figure.axes] == ["rms error (deg)", "rms error (%)"]
     assert [len(axes.get_yticks()) for axes in figure.axes] == [1, len(SHOTS) - 1]
+
+
+def test_the_picture_of_a_fit_alone_is_of_its_errors(tmp_path: Path) -> None:
+    """There are no curves of Fig. 5 then: each shot before and after, under the sentence."""
+    document = calibration(stages=[], rounds=[], shots=[{"id": SHOTS[0], "unit": "deg"}])
+    draw(document, {}, tmp_path / "fit.svg")
+    picture = (tmp_path / "fit.svg").read_text(encoding="utf-8")
+    for told in (*SHOTS, "rms error (deg)", "rms error (%)", "before", document["sentence"]):
+        assert f">{told}</text>" in picture
