@@ -31,6 +31,7 @@ class Calibrated:
     before: Comparison
     after: Comparison
     profiles: tuple[Profile, ...]
+    way: Way | None
     asked: tuple[str, ...]
     """The paths of the model that were to be fitted, those among them that these data say nothing of."""
 
@@ -50,10 +51,7 @@ class Calibrated:
             "trusted": fit.trusted,
             "reason": "; ".join(fit.distrust),
             "stages": [stage.document() for stage in self.last_stages],
-            "rounds": [
-                {"round": 1 + number // 2, **self._chosen(number), "mse": stage.best.mse}
-                for number, stage in enumerate(self.stages)
-            ],
+            "rounds": self._rounds(),
             "fit": {
                 "parameters": [self._parameter(path) for path in self.free],
                 "unseen": [path for path in self.asked if path not in self.free and path in fit.problem.model.fit],
@@ -86,6 +84,14 @@ class Calibrated:
     def last_stages(self) -> list[Stage]:
         """The last stage of each surface."""
         return list({stage.part: stage for stage in self.stages}.values())
+
+    def _rounds(self) -> list[dict[str, Any]]:
+        """What the experiment in turn came to, stage by stage; the joint one has none."""
+        stages = self.stages if self.way == "in turn" else ()
+        return [
+            {"round": 1 + number // 2, **self._chosen(number), "mse": stage.best.mse}
+            for number, stage in enumerate(stages)
+        ]
 
     def _chosen(self, number: int) -> dict[str, str]:
         """Both surfaces as they stood after a stage."""
@@ -158,7 +164,8 @@ def calibrated(
     after = compared(model, observed, predictor, solver, free=kept, cache=cache)
     progress(0.5, "profiles")
     held = [path for path in kept if path not in after.fit.at_limit and np.isfinite(after.fit.error(path))]
-    return Calibrated(tuple(stages), before, after, tuple(profile(after.fit, path) for path in held), tuple(free))
+    profiles = tuple(profile(after.fit, path) for path in held)
+    return Calibrated(tuple(stages), before, after, profiles, way, tuple(free))
 
 
 def named(surface: Surface) -> str:

@@ -151,9 +151,15 @@ def histories_traced(twin: bool, histories: int | None, most_histories: int | No
 
 
 def errors_of(found: Comparison) -> dict[str, float]:
-    """What a version of a model file is kept with: rms error of every shot in percent, p of structure."""
-    rows = {shot["id"]: shot["rms_error_percent"] for shot in found.document()["shots"]}
-    return {f"{shot} rms %": round(error, 4) for shot, error in rows.items()} | {"p": found.structure.p}
+    """What a version of a model file is kept with: rms error of every shot, p of structure.
+
+    In percent of the mean signal; of psi and delta in degrees.
+    """
+    rows: dict[str, float] = {}
+    for shot in found.document()["shots"]:
+        unit, name = ("deg", "rms_error") if shot.get("unit") == "deg" else ("%", "rms_error_percent")
+        rows[f"{shot['id']} rms {unit}"] = round(shot[name], 4)
+    return rows | {"p": found.structure.p}
 
 
 @contextmanager

@@ -136,8 +136,9 @@ def calibration(document: Document) -> Iterator[str]:
     before, after = document["errors"]
     heads = ("shot", "rms error before", "noise", "after", "noise")
     names = ("rms_error_percent", "noise_percent")
+    units = {shot["id"]: "deg" if shot.get("unit") == "deg" else "%" for shot in document["shots"]}
     rows = [
-        (shot, *(f"{one[name][shot]:.2f} %" for one in (before, after) for name in names))
+        (shot, *(f"{one[name][shot]:.2f} {units[shot]}" for one in (before, after) for name in names))
         for shot in after["rms_error_percent"]
     ]
     yield from table(heads, rows)

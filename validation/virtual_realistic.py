@@ -44,6 +44,10 @@ REFLECTANCES: dict[Part, tuple[float, ...]] = {
 }
 LAYOUTS: dict[Part, str] = {"substrate": "single", "receiver": "array"}
 NAMES: dict[Part, str] = {"substrate": "single chips: the substrate", "receiver": "chip arrays: the receiver"}
+JOINT: dict[Part, str] = {
+    "substrate": "all images: the substrate, with the best receiver",
+    "receiver": "all images: the receiver, with the best substrate",
+}
 PARTS: tuple[Part, Part] = ("substrate", "receiver")
 ERRORS = ("mse", "mse_dn2", "chi2_per_pixel")
 MOST_ROUNDS = 6
@@ -88,10 +92,11 @@ class Tried:
 
 @dataclass(frozen=True)
 class Stage:
-    """All candidates of one surface, on the images of one layout."""
+    """All candidates of one surface, on the images of one layout, or on all with the best of the other surface."""
 
     part: Part
     tried: tuple[Tried, ...]
+    name: str
 
     @property
     def best(self) -> Tried:
@@ -111,7 +116,7 @@ class Stage:
                 })  # fmt: skip
         best = self.best.candidates[-1]
         return {
-            "name": NAMES[self.part],
+            "name": self.name,
             "parameter": f"environment.{self.part}.reflectance",
             "curves": curves,
             "best": {"label": best.kind, "x": best.reflectance, "mse": self.best.mse},
@@ -156,7 +161,7 @@ class Experiment:
         for number, candidate in enumerate(candidates):
             progress(number / len(candidates), f"{part}: {candidate}")
             tried.append(self.tried(model, [candidate], images))
-        return Stage(part, tuple(tried))
+        return Stage(part, tuple(tried), NAMES[part])
 
     def in_turn(self, model: Model, progress: Progress) -> Iterator[tuple[Model, Stage]]:
         """Substrate, receiver, substrate, ... until neither changes; the model after each stage.
@@ -192,7 +197,7 @@ def _least(tried: Sequence[Tried], which: int) -> Stage:
         own, other = one.candidates[which], one.candidates[1 - which]
         if own not in best or one.mse < best[own].mse:
             best[own] = replace(one, candidates=(other, own))
-    return Stage(PARTS[which], tuple(best.values()))
+    return Stage(PARTS[which], tuple(best.values()), JOINT[PARTS[which]])
 
 
 def errors_of(image: MeasuredImage, irradiance_per_mm2: Real) -> tuple[float, float, float]:

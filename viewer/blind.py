@@ -14,6 +14,7 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from luxloop.errors import InputError
 from viewer import html
 from viewer.comparison_curves import SCALE
 from viewer.comparison_images import NOISE_SEED, RESIDUALS
@@ -38,11 +39,18 @@ WORDS = {
 
 
 def draw(document: Document, arrays: Arrays, path: Path) -> None:
-    """Write the page (.html), or the map of who was taken for whom (.png, .svg, .pdf)."""
+    """Write the page (.html), or the map of who was taken for whom (.png, .svg, .pdf).
+
+    Raises InputError for a picture where no set hides one thing.
+    """
+    found = document["confusion"]["effects"]
     if path.suffix.lower() in (".html", ".htm"):
         html.write(path, page_of(document, arrays))
+    elif not found["rows"]:
+        mend = "a page tells all else: --page NAME.html"
+        raise InputError("--page", str(path), "a set with one thing hidden", mend)
     else:
-        save(confusion_figure(document["confusion"]["effects"]), path)
+        save(confusion_figure(found), path)
 
 
 def page_of(document: Document, arrays: Arrays) -> str:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from viewer import calibration_figures as figures
 from viewer import html
-from viewer.comparison_tables import number, provenance, warnings
+from viewer.comparison_tables import number, provenance, unit, warnings
 from viewer.html import NOTHING, paragraph
 from viewer.look import save
 
@@ -35,8 +35,10 @@ def draw(document: Document, arrays: Arrays, path: Path) -> None:
     """Write the page (.html) of a calibration, or the one picture that says most (.png, .svg, .pdf)."""
     if path.suffix.lower() in (".html", ".htm"):
         html.write(path, page_of(document, arrays))
-    else:
+    elif document["stages"]:
         save(figures.all_stages(document), path)
+    else:
+        save(figures.error_figure(_errors_by_model(document), _units(document), document["sentence"]), path)
 
 
 def page_of(document: Document, arrays: Arrays) -> str:  # noqa: ARG001  # every view takes the arrays of its document
@@ -179,22 +181,36 @@ def _correlation(document: Document) -> Iterator[str]:
 
 def _errors(document: Document) -> Iterator[str]:
     """What the calibration gained in each shot, and what noise leaves."""
-    errors = {one["model"]: one for one in document.get("errors") or ()}
+    errors, units = _errors_by_model(document), _units(document)
     if "after" not in errors:
         return
     caption = (
         "Rms error of each shot with the model before and after; upright line: its noise, below which no model comes"
         " but by fitting the noise."
     )
-    pictures = {"error of each shot before and after": figures.error_picture(errors)}
+    pictures = {"error of each shot before and after": figures.error_picture(errors, units)}
     yield html.row(pictures, "two", caption, document["command"])
     nothing: Document = {"rms_error_percent": {}, "noise_percent": {}}
     both = errors.get("before", nothing), errors["after"]
     rows = [
-        (name, *(number(one[what].get(name)) for one in both for what in ("rms_error_percent", "noise_percent")))
-        for name in errors["after"]["rms_error_percent"]
-    ]
-    yield html.table(("shot", "before, %", "noise, %", "after, %", "noise, %"), rows)
+        (name, *(_in(units.get(name, "%"), one[what].get(name)) for one in both for what in
+                 ("rms_error_percent", "noise_percent"))) for name in errors["after"]["rms_error_percent"]
+    ]  # fmt: skip
+    yield html.table(("shot", "before", "noise", "after", "noise"), rows)
+
+
+def _errors_by_model(document: Document) -> dict[str, Document]:
+    """The errors of the shots, before and after."""
+    return {one["model"]: one for one in document.get("errors") or ()}
+
+
+def _units(document: Document) -> dict[str, str]:
+    """What each shot's errors are told in."""
+    return {shot["id"]: unit(shot) for shot in document.get("shots", ())}
+
+
+def _in(unit: str, value: float | None) -> str:
+    return NOTHING if value is None else f"{number(value)} {unit}"
 
 
 def _with_error(one: Document | None) -> str:

@@ -102,30 +102,48 @@ def profile_picture(profile: Document, parameter: Document | None) -> bytes:
         return svg(figure)
 
 
-def error_picture(errors: Mapping[str, Document]) -> bytes:
-    """Rms error of each shot before and after, and its noise, which no model can go below."""
-    names = list(errors["after"]["rms_error_percent"])
+def error_picture(errors: Mapping[str, Document], units: Mapping[str, str]) -> bytes:
+    """The same for a page."""
     with rc_context(TEXT):
-        figure = Figure(figsize=(4.6, 1.2 + 0.27 * len(names)), layout="constrained")
-        axes = figure.add_subplot()
-        for row, name in enumerate(names):
-            noise = errors["after"]["noise_percent"].get(name)
-            after = errors["after"]["rms_error_percent"][name]
-            before = errors["before"]["rms_error_percent"].get(name) if "before" in errors else None
-            once = row == 0
-            if before is not None:
-                axes.plot([before, after], [row, row], color=GREY, linewidth=1.2, zorder=1)
-                axes.plot(before, row, "o", color=ORANGE, markersize=5.0, label="before" if once else None)
-            axes.plot(after, row, "o", color=BLUE, markersize=5.0, label="after" if once else None)
-            if noise is not None:
-                axes.plot([noise, noise], [row - 0.35, row + 0.35], color=INK, label="noise" if once else None)
-        axes.set_yticks(range(len(names)), names)
-        axes.invert_yaxis()
-        axes.set_xlim(left=0.0)
-        axes.set_xlabel("rms error (%)")
-        axes.grid(alpha=0.25, axis="x")
-        figure.legend(loc="outside lower left", ncols=3)
-        return svg(figure)
+        return svg(error_figure(errors, units))
+
+
+def error_figure(errors: Mapping[str, Document], units: Mapping[str, str], title: str = "") -> Figure:
+    """Rms error of each shot before and after, and its noise, which no model can go below.
+
+    `units` of the shots' errors: percent where none is told; shots in degrees have axes of their own.
+    """
+    groups: dict[str, list[str]] = {}
+    for name in errors["after"]["rms_error_percent"]:
+        groups.setdefault(units.get(name, "%"), []).append(name)
+    counts = [len(names) for names in groups.values()]
+    with rc_context(TEXT):
+        figure = Figure(figsize=(4.6, 0.4 + 0.8 * len(counts) + 0.27 * sum(counts)), layout="constrained")
+        panes = figure.subplots(len(counts), squeeze=False, height_ratios=counts)[:, 0]
+        for axes, (unit, names) in zip(panes, groups.items(), strict=True):
+            _error_axes(axes, errors, names)
+            axes.set_xlabel(f"rms error ({unit})")
+        figure.suptitle(title, fontsize=8, x=0.01, ha="left")
+        figure.legend(*panes[0].get_legend_handles_labels(), loc="outside lower left", ncols=3)
+        return figure
+
+
+def _error_axes(axes: Axes, errors: Mapping[str, Document], names: Sequence[str]) -> None:
+    for row, name in enumerate(names):
+        noise = errors["after"]["noise_percent"].get(name)
+        after = errors["after"]["rms_error_percent"][name]
+        before = errors["before"]["rms_error_percent"].get(name) if "before" in errors else None
+        once = row == 0
+        if before is not None:
+            axes.plot([before, after], [row, row], color=GREY, linewidth=1.2, zorder=1)
+            axes.plot(before, row, "o", color=ORANGE, markersize=5.0, label="before" if once else None)
+        axes.plot(after, row, "o", color=BLUE, markersize=5.0, label="after" if once else None)
+        if noise is not None:
+            axes.plot([noise, noise], [row - 0.35, row + 0.35], color=INK, label="noise" if once else None)
+    axes.set_yticks(range(len(names)), names)
+    axes.invert_yaxis()
+    axes.set_xlim(left=0.0)
+    axes.grid(alpha=0.25, axis="x")
 
 
 def short(path: str) -> str:

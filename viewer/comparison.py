@@ -87,8 +87,8 @@ def _head(document: Document) -> Iterator[str]:
     if rated:
         far = max(rated, key=lambda one: one["rms_error_percent"] / (one.get("noise_percent") or 1.0))
         rows.append((
-            f"{number(far['rms_error_percent'])} %",
-            f"rms error of {far['id']}, most above its noise of {number(far.get('noise_percent'))} %",
+            tables.error(far, "rms_error"),
+            f"rms error of {far['id']}, most above its noise of {tables.error(far, 'noise')}",
         ))  # fmt: skip
     chance = f"structure p: how often noise alone gives as much, of {structure['draws']:,} simulated repeats"
     rows.append((probability(structure), chance))
@@ -127,7 +127,7 @@ def _image(document: Document, shot: Document, arrays: Arrays) -> str:
     image = images.image_of(shot, arrays)
     side = images.joined(image)
     caption = (
-        f"Rms error {number(shot.get('rms_error_percent'))} %, of which noise {number(shot.get('noise_percent'))} %;"
+        f"Rms error {tables.error(shot, 'rms_error')}, of which noise {tables.error(shot, 'noise')};"
         f" χ² per pixel {number(shot.get('chi2_per_pixel'))}; structure p {probability(shot)}."
     )
     if shot.get("worst_region"):

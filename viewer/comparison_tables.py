@@ -18,6 +18,17 @@ def number(value: float | None, digits: int = 3) -> str:
     return NOTHING if value is None else f"{value:,.{digits}g}"
 
 
+def error(shot: Document, name: str, digits: str = ",.3g") -> str:
+    """A shot's `rms_error` or `noise` with its unit: of psi and delta degrees, of all else percent of the mean."""
+    value = shot.get(name if unit(shot) == "deg" else f"{name}_percent")
+    return NOTHING if value is None else f"{value:{digits}} {unit(shot)}"
+
+
+def unit(shot: Document) -> str:
+    """What a shot's errors are told in."""
+    return "deg" if shot.get("unit") == "deg" else "%"
+
+
 def probability(one: Document) -> str:
     """The p of a shot or of a whole comparison, as it was told."""
     return str(one.get("p_text") or number(one.get("p"), 2))
@@ -31,7 +42,7 @@ def shots(document: Document) -> Iterator[str]:
         row = [
             shot["id"],
             shot["sample"],
-            *(_percent(shot.get(name)) for name in ("rms_error_percent", "noise_percent")),
+            *(error(shot, name, ".2f") for name in ("rms_error", "noise")),
         ]
         row += [number(shot.get(name)) for name in ("mse", "mse_dn2", "chi2_per_pixel")]
         row += [number(shot.get("z")), probability(shot), shot.get("worst_region") or NOTHING]
@@ -39,8 +50,8 @@ def shots(document: Document) -> Iterator[str]:
     heads = [
         "shot",
         "sample",
-        "rms error, %",
-        "noise, %",
+        "rms error",
+        "noise",
         "MSE",
         "MSE, DN²",
         "χ² / pixel",
@@ -51,10 +62,12 @@ def shots(document: Document) -> Iterator[str]:
     if told:
         heads.insert(2, "differs")
     caption = (
-        "Rms error and noise: root mean square over the used pixels, the second what noise alone is expected to give."
-        " MSE (Eq. 1): images scaled to the measured maximum, 0 to 255. z and structure p: the largest standardised"
-        " contrast of the shot and how often noise alone, with the fit repeated, gives as large a one. χ² / pixel is"
-        " 1 where only noise is left; it is too blunt to vote."
+        "Rms error and noise: root mean square over the used pixels, the second what noise alone is expected to give;"
+        " in percent of the mean signal, of psi and delta in degrees."
+        " MSE (Eq. 1): images scaled to the measured maximum, 0 to 1. Structure p: how often noise alone, with the"
+        " fit repeated, gives as large a standardised contrast somewhere in the shot; z: that p as a normal"
+        " distribution's sigma, so no larger than the draws can tell. χ² / pixel is 1 where only noise is left; it is"
+        " too blunt to vote."
     )
     yield html.table(heads, rows, caption, words=3 if told else 2, ending=1)
 
@@ -136,7 +149,3 @@ def solver_in_words(solver: Document) -> str:
 
 def _fixed(value: float | None, digits: int) -> str:
     return NOTHING if value is None else f"{value:+.{digits}f}"
-
-
-def _percent(value: float | None) -> str:
-    return NOTHING if value is None else f"{value:.2f}"

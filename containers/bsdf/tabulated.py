@@ -164,7 +164,7 @@ class Tabulated(Bsdf):
         phi = np.abs(phi) if self.images == 2 else phi % (2.0 * np.pi)
         ring = np.searchsorted(self.theta_out_edges_rad, theta, "right") - 1
         sector = np.searchsorted(self.phi_out_edges_rad, phi, "right") - 1
-        inside = ring < self.theta_out_edges_rad.size - 1
+        inside = (z >= 0.0) | (self.theta_out_edges_rad[-1] > 2.0)
         ring = np.minimum(ring, self.theta_out_edges_rad.size - 2)
         sector = np.minimum(sector, self.phi_out_edges_rad.size - 2)
         row, above = self._place(theta_in)

@@ -287,6 +287,19 @@ def test_channels_average_to_the_whole() -> None:
     assert float(table.sample(uniforms(10), 0.4).weight[0]) == pytest.approx(expected, abs=1e-12)
 
 
+def test_a_table_has_its_last_ring_straight_down() -> None:
+    """The bsdf there is that beside it; a table of reflection alone has nothing below the surface."""
+    cells, phi = np.full((1, 1, 1, 2, 1), 0.5 / np.pi), np.array([0.0, np.pi])
+    both = Tabulated(cells, np.zeros(1), np.array([0.0, 0.5, 1.0]) * np.pi, phi)
+    ends = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0], [-0.0, -0.0, -1.0]])
+    assert both.evaluate(0.0, ends) == pytest.approx(0.5 / np.pi, rel=1e-12)
+    assert both.intensity(0.0, ends) == pytest.approx(0.5 / np.pi, rel=1e-12)
+    upper = Tabulated(cells, np.zeros(1), np.array([0.0, 0.25, 0.5]) * np.pi, phi)
+    below = direction_of(np.array([90.0 + 1e-9, 91.0, 180.0]) * DEG, 0.0)
+    assert np.all(upper.evaluate(0.0, below) == 0.0)
+    assert upper.evaluate(0.0, direction_of((90.0 - 1e-9) * DEG, 0.0)) == pytest.approx(0.5 / np.pi)
+
+
 def test_total_reflection_keeps_what_interpolation_calls_transmitted() -> None:
     """Between the last node with T > 0 and the critical angle's far side nothing is lost and nothing leaves."""
     table = SpecularTable(np.array([0.0, 0.40, 0.45]), np.array([0.2, 0.4, 1.0]), np.array([0.8, 0.6, 0.0]), 2.4869)

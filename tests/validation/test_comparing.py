@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,11 +14,12 @@ from luxloop.audit import Compared, Place
 from luxloop.errors import InputError
 from luxloop.model_file import find_model
 from tests.validation import analytic as spots
-from validation import reexecute, told
+from validation import reexecute, told, virtual_realistic
 from validation.auditor import compared as re_derived
 from validation.auditor import decided
 from validation.calibrate_command import paths_of
 from validation.calibration import calibrated
+from validation.compare_command import errors_of as errors_kept
 from validation.comparing import Solver, compared, differing
 from validation.observed import Observed
 from validation.profiles import profiles
@@ -205,7 +207,37 @@ def test_a_calibration_tells_values_errors_and_what_became_of_the_file() -> None
     lost = replace(found, asked=(*found.asked, "environment.receiver.sigma_deg")).document()
     assert (lost["fit"]["unseen"], lost["fit"]["left_out"]) == ([], ["environment.receiver.sigma_deg"])
     assert "mine.toml is as it was" in "\n".join(told.calibration(document | {"version": None}))
-    assert "mine.toml is version 3" in "\n".join(told.calibration(document | {"version": 3}))
+    text = "\n".join(told.calibration(document | {"version": 3}))
+    assert "mine.toml is version 3" in text
+    document["shots"][0]["unit"] = "deg"  # as that of psi
+    in_degrees = "\n".join(told.calibration(document | {"version": 3}))
+    assert [in_degrees.count(unit) - text.count(unit) for unit in (" deg", " %")] == [4, -4]
+
+
+def test_a_version_keeps_errors_of_angles_in_degrees() -> None:
+    """Of all other shots in percent."""
+    psi = {"id": "psi", "unit": "deg", "rms_error": 0.5, "rms_error_percent": 0.5}
+    shots = [psi, {"id": "R", "unit": "1", "rms_error": 0.01, "rms_error_percent": 3.0}]
+    found: Any = SimpleNamespace(document=lambda: {"shots": shots}, structure=SimpleNamespace(p=0.2))
+    assert errors_kept(found) == {"psi rms deg": 0.5, "R rms %": 3.0, "p": 0.2}
+
+
+def test_the_joint_experiment_is_not_told_as_that_in_turn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """All images decide, each curve is the best over the other surface, and there are no rounds."""
+    few = {"substrate": (0.6, 0.7), "receiver": (0.4, 0.5)}
+    monkeypatch.setattr(virtual_realistic, "REFLECTANCES", few)
+    monkeypatch.setattr(virtual_realistic, "KINDS", {"Gaussian 5 deg": 5.0, "Gaussian 10 deg": 10.0})
+    joint, in_turn = (
+        calibrated(spots.MODEL, observed(), spots.Spots(), Solver(None), way=way, free=[]).document()
+        for way in ("joint", "in turn")
+    )
+    parts = ("the substrate, with the best receiver", "the receiver, with the best substrate")
+    assert [one["name"] for one in joint["stages"]] == [f"all images: {part}" for part in parts]
+    assert [one["best"]["x"] for one in joint["stages"]] == [0.7, 0.5]
+    assert joint["rounds"] == []
+    names = ["single chips: the substrate", "chip arrays: the receiver"]
+    assert [one["name"] for one in in_turn["stages"]] == names
+    assert len(in_turn["rounds"]) > 2
 
 
 def test_a_changed_pixel_of_a_residual_is_found_by_the_replay() -> None:

@@ -10,12 +10,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from luxloop.errors import InputError
 from tests.pages import Parsed, loads_nothing
 from tests.validation.blind_test.pretend import answer, folder_of, hiding, record
 from validation.blind_test.folders import SEAL, SETS
 from validation.blind_test.judging import packed
 from validation.blind_test.records import maps_path
 from validation.blind_test.scoring import maps_of, names_of, score
+from validation.blind_test.seals import Hiding
 from viewer.blind import confusion_figure, draw, page_of
 from viewer.blind import maps_of as maps_of_set
 
@@ -90,3 +92,13 @@ def test_the_map_of_who_was_taken_for_whom(scored: tuple[dict[str, Any], dict[st
     assert sorted((text.get_position(), text.get_text()) for text in axes.texts) == [((0, 0), "1"), ((1, 1), "1")]
     draw(*scored, tmp_path / "who.png")
     assert (tmp_path / "who.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize("hidden", [(), (hiding("vignetting"), hiding("dead_chip"))])
+def test_no_picture_of_sets_without_one_thing_hidden(tmp_path: Path, hidden: tuple[Hiding, ...]) -> None:
+    """The map has no rows then; a page has all else."""
+    folder = folder_of(tmp_path / "out", (answer("set-1", *hidden), record("nothing_visible")))
+    document = score([folder])
+    with pytest.raises(InputError, match=r"--page.*one thing hidden.*\.html"):
+        draw(document, {}, tmp_path / "who.png")
+    draw(document, {}, tmp_path / "who.html")

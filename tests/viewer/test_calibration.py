@@ -11,7 +11,7 @@ import pytest
 
 from tests.pages import Parsed, loads_nothing, picture_loads_nothing
 from viewer.calibration import draw, page_of
-from viewer.calibration_figures import all_stages
+from viewer.calibration_figures import all_stages, error_figure
 
 COMMAND = "luxloop calibrate data --model model.toml"
 BEGINNINGS = {".png": b"\x89PNG", ".pdf": b"%PDF", ".svg": b"<?xml"}
@@ -91,7 +91,8 @@ def test_the_numbers_are_those_of_the_document(whole: tuple[Parsed, str]) -> Non
     text = whole[0].text
     for told in ("High-reflectivity white bottom surface Gaussian 5 deg, 97 % 97.03 ± 0.12 % Gaussian 5°, 97 %",
                  "Receiver reflectivity Lambertian, 35 % 35.20 ± 0.40 % Lambertian, 35 %", "0.96795 to 0.97265",
-                 "0.9218 ± 0.097", "2 Gaussian 5 deg, 97 % Lambertian, 35 % 0.4", "single-0 8.37 2.7 2.75 2.7",
+                 "0.9218 ± 0.097", "2 Gaussian 5 deg, 97 % Lambertian, 35 % 0.4",
+                 "single-0 8.37 % 2.7 % 2.75 % 2.7 %",
                  "6 iterations", "a" * 64, "b" * 64, COMMAND, "twin (deterministic"):  # fmt: skip
         assert told in text
 
@@ -183,3 +184,23 @@ def test_words_of_others_cannot_break_the_page() -> None:
     document["stages"][0]["name"] = "<script>alert(1)</script> & more"
     parsed = loads_nothing(page_of(document, {}))
     assert "<script>alert(1)</script> & more" in parsed.text
+
+
+def test_errors_of_angles_are_told_in_degrees() -> None:
+    """Their shots have axes of their own, and their unit in the table."""
+    document = calibration(shots=[{"id": SHOTS[0], "unit": "deg"}, {"id": SHOTS[1], "unit": "1"}])
+    text = Parsed(page_of(document, {})).text
+    assert f"{SHOTS[0]} 8.37 deg 2.7 deg 2.75 deg 2.7 deg" in text
+    assert f"{SHOTS[1]} 8.37 % 2.7 %" in text
+    figure = error_figure({one["model"]: one for one in document["errors"]}, {SHOTS[0]: "deg"})
+    assert [axes.get_xlabel() for axes in figure.axes] == ["rms error (deg)", "rms error (%)"]
+    assert [len(axes.get_yticks()) for axes in figure.axes] == [1, len(SHOTS) - 1]
+
+
+def test_the_picture_of_a_fit_alone_is_of_its_errors(tmp_path: Path) -> None:
+    """There are no curves of Fig. 5 then: each shot before and after, under the sentence."""
+    document = calibration(stages=[], rounds=[], shots=[{"id": SHOTS[0], "unit": "deg"}])
+    draw(document, {}, tmp_path / "fit.svg")
+    picture = (tmp_path / "fit.svg").read_text(encoding="utf-8")
+    for told in (*SHOTS, "rms error (deg)", "rms error (%)", "before", document["sentence"]):
+        assert f">{told}</text>" in picture

@@ -357,3 +357,29 @@ def test_an_image_without_a_used_pixel_is_drawn() -> None:
     arrays["a/measured_dn"][:] = np.nan
     arrays["a/z"][:] = np.nan
     assert len(loads_nothing(page_of(comparison([shot]), arrays)).pictures) == 6 + 3
+
+
+def test_errors_of_angles_are_told_in_degrees() -> None:
+    """Those of psi and delta; of the other shots percent, at the head of the page and in the table."""
+    arrays: Arrays = {}
+    angle = spectrum(arrays, "delta") | {"unit": "deg", "rms_error": 1.4, "noise": 0.1, "noise_percent": 0.1}
+    page = page_of(comparison([spectrum(arrays, "R") | {"unit": "1"}, angle]), arrays)
+    text = Parsed(page).text
+    assert "1.4 deg rms error of delta, most above its noise of 0.1 deg" in text
+    assert "1.40 deg 0.10 deg" in text
+    assert "1.40 % 0.90 %" in text
+
+
+def test_the_mse_is_said_to_be_on_the_scale_that_it_is_on() -> None:
+    """A share of the measured maximum squared."""
+    arrays: Arrays = {}
+    text = Parsed(page_of(comparison([image(arrays, "single-0")]), arrays)).text
+    assert "images scaled to the measured maximum, 0 to 1." in text
+    assert "255" not in text
+
+
+def test_z_is_said_to_be_that_of_p() -> None:
+    """Not the largest contrast, which may be far larger."""
+    arrays: Arrays = {}
+    text = Parsed(page_of(comparison([image(arrays, "single-0")]), arrays)).text
+    assert "z: that p as a normal distribution's sigma, so no larger than the draws can tell" in text

@@ -37,7 +37,7 @@ class HeldOut:
     rows: Rows
     """Their numbers among all rows."""
     rms_percent: float
-    """Of the images, over their mean signal (`level_of`), all folds together; without images of the curves."""
+    """Of the images, over their mean signal (`levels_of`), all folds together; without images of the curves."""
     curves_percent: float | None = None
     """Of curves beside images."""
 
@@ -80,22 +80,28 @@ def held_out(fit: Fit, folds: Sequence[tuple[str, Rows]]) -> HeldOut:
         left.append(there - _solved(fit, columns[:, rows], there, fit.active & ~known) @ columns[:, rows])
         order.append(rows)
     rows, after = np.concatenate(order), np.concatenate(left)
-    squares, count = (after * noise[rows]) ** 2, fit.whitening.count
-    parts = (squares[rows < count], False), (squares[rows >= count], True)
-    percents = [percent(part, level_of(fit, curves=curves)) for part, curves in parts if len(part)]
+    relative, count = after * noise[rows] / levels_of(fit)[rows], fit.whitening.count
+    percents = [percent(part) for part in (relative[rows < count], relative[rows >= count]) if len(part)]
     return HeldOut(after, rows, *percents)
 
 
-def percent(squares: Real, level: float) -> float:
-    """The root of the mean of squares (row,), of what is left or of its noise, in percent of a level."""
-    return 100.0 * float(np.sqrt(np.mean(squares))) / level
+def percent(relative: Real) -> float:
+    """The root mean square of relative errors (row,), of what is left or of its noise, in percent."""
+    return 100.0 * float(np.sqrt(np.mean(relative**2)))
 
 
-def level_of(fit: Fit, *, curves: bool) -> float:
-    """What errors are told in percent of: the mean of all used pixels in DN, or of the values of all curves."""
-    images = zip(fit.problem.images, fit.signals_dn, strict=True)
-    values = [np.abs(one.value) for one in fit.problem.curves] if curves else [dn[one.used] for one, dn in images]
-    return float(np.mean(np.concatenate(values)))
+def levels_of(fit: Fit) -> Real:
+    """What the error of each row (row,) is told in percent of.
+
+    For a pixel the mean of all used ones in DN; for a value of a curve the mean size of all that share its unit:
+    R and T, psi and delta; a goniometer's scale is its own.
+    """
+    images, curves = zip(fit.problem.images, fit.signals_dn, strict=True), fit.problem.curves
+    parts = [("DN", dn[image.used]) for image, dn in images]
+    units = ["deg" if one.is_angle else f"of {one.id}" if one.free_scale else "1" for one in curves]
+    parts += [(unit, np.abs(one.value)) for unit, one in zip(units, curves, strict=True)]
+    level = {unit: np.mean(np.concatenate([part for own, part in parts if own == unit])) for unit, _ in parts}
+    return np.concatenate([np.full(len(part), level[unit]) for unit, part in parts])
 
 
 def change(before: HeldOut, after: HeldOut) -> Change:

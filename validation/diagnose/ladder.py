@@ -12,7 +12,7 @@ from luxloop.errors import InputError
 from luxloop.model import Model
 from luxloop.model_file import parse_toml
 from validation.diagnose.ground import Ground
-from validation.diagnose.held_out import folds_by_blocks, folds_of, held_out, level_of, percent
+from validation.diagnose.held_out import folds_by_blocks, folds_of, held_out, levels_of, percent
 from validation.fit import Fit
 from validation.model_versions import Version
 from validation.sample_values import is_by_sample
@@ -40,7 +40,7 @@ class Rung:
     blocks_percent: float | None = None
     """Of halves of every image, left out in turn: what tells of values that each sample has of its own."""
     curves_fitted_percent: float | None = None
-    """Of curves beside images, of their mean value; effects on films are seen in them alone."""
+    """Of curves beside images, of the mean value of those of a unit; effects on films are seen in them alone."""
     curves_held_out_percent: float | None = None
     curves_noise_percent: float | None = None
 
@@ -69,16 +69,17 @@ class Rung:
 
 def _percents(fit: Fit, *, curves: bool) -> tuple[float, float]:
     """The error in what was fitted and that of noise alone, of the images or of the curves."""
+    count = fit.whitening.count
+    level = levels_of(fit)[count:] if curves else levels_of(fit)[:count]
     if curves:
-        sigma = np.concatenate([*fit.whitening.curve_sigma])
-        squares, variance = (fit.residual[fit.whitening.count :] * sigma) ** 2, sigma**2
+        noise = np.concatenate([*fit.whitening.curve_sigma])
+        left = fit.residual[count:] * noise
     else:
         images = fit.problem.images
-        left = [(one.signal_dn - dn)[one.used] for one, dn in zip(images, fit.signals_dn, strict=True)]
-        squares = np.concatenate(left) ** 2
-        variance = np.concatenate([fit.variance_dn2(number)[one.used] for number, one in enumerate(images)])
-    level = level_of(fit, curves=curves)
-    return percent(squares, level), percent(variance, level)
+        each = zip(images, fit.signals_dn, strict=True)
+        left = np.concatenate([(one.signal_dn - dn)[one.used] for one, dn in each])
+        noise = np.sqrt(np.concatenate([fit.variance_dn2(number)[one.used] for number, one in enumerate(images)]))
+    return percent(left / level), percent(noise / level)
 
 
 def ladder(known: Sequence[Version], texts: Mapping[int, str]) -> dict[str, Any]:

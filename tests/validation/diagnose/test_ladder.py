@@ -45,6 +45,27 @@ def test_what_was_fitted_and_what_was_left_out_are_told_of_one_mean() -> None:
     assert rung.held_out_percent == pytest.approx(rung.fitted_percent, rel=0.1)
 
 
+def test_curves_of_several_units_are_told_each_of_the_mean_of_its_own() -> None:
+    """No reflectance is told of a mean of degrees, and what a goniometer's scale is does not matter."""
+    random, scale = np.random.default_rng(4), 5000.0
+    sigmas = {"r": 0.002, "delta": 0.1, "psi": 0.1, "far": 0.01 * scale}
+    values = {"r": 0.2, "delta": 150.0, "psi": 30.0, "far": scale}
+    curves = [
+        CurveData(
+            name, values[name] + sd * random.standard_normal(200), np.full(200, sd),
+            is_angle=name in ("delta", "psi"), free_scale=name == "far",
+        ) for name, sd in sigmas.items()
+    ]  # fmt: skip
+    predict = Lines({name: {"t": np.full(200, value)} for name, value in (values | {"far": 1.0}).items()})
+    known = Parameter("t", prior_mean=1.0, prior_sd=1e-6)
+    found = fit(TRUTH, [], Spots(), free=(), curves=curves, predict_curves=predict, others=[known], start={"t": 1.0})
+    rung = Rung.of(replace(ground_of(fit(TRUTH, images_of(TRUTH, 3), Spots(), free=())), fit=found))
+    wanted = 100.0 * np.sqrt(np.mean([0.01**2, (0.1 / 90.0) ** 2, (0.1 / 90.0) ** 2, 0.01**2]))
+    assert rung.noise_percent == pytest.approx(wanted, rel=0.01)
+    assert rung.fitted_percent == pytest.approx(wanted, rel=0.1)
+    assert rung.held_out_percent == pytest.approx(rung.fitted_percent, rel=0.1)
+
+
 def beside_images(*films: str) -> Fit:
     """Images of the spots, and spectra of two films that lack a layer; which of their parameters are fitted."""
     random, axis = np.random.default_rng(5), np.linspace(0.0, 1.0, 40)
