@@ -112,15 +112,18 @@ class Campaign(Words):
 def read_campaign(path: Path | None, *, compared: bool = False, **given: Any) -> Campaign:
     """The settings in a TOML file (none: the defaults), what is given (not None) over them.
 
-    `bounds` may be a preset's name; `learning` goes over the designer's preset. A method or a search that is given
-    goes over what it does not look at, too. `compared`: the settings are of several designers. Raises InputError
-    naming file, field, value and range.
+    `bounds` may be a preset's name; `learning` goes over the designer's preset. Another method or a search that
+    is given goes over what it does not look at, too. `compared`: the settings are of several designers. Raises
+    InputError naming file, field, value and range.
     """
     plain: dict[str, Any] = toml_of(read_text(path, "--config", "a TOML file"), path.name) if path else {}
-    if (method := given.get("method")) is not None:
+    method, named = given.get("method"), given.get("designer")
+    if method not in (None, plain.get("method", "monte_carlo")):
         plain.pop("walk_error_points" if method == "twin" else "twin_histories", None)
-    if given.get("designer") in SEARCHES and isinstance(plain.get("stop"), dict):
-        plain["stop"].pop("episodes_without_gain", None)
+    if named in SEARCHES and named != plain.get("designer"):
+        plain.pop("learning", None)
+        if isinstance(plain.get("stop"), dict):
+            plain["stop"].pop("episodes_without_gain", None)
     for name, value in given.items():
         if value is not None:
             part, _, field = name.partition("__")

@@ -202,7 +202,8 @@ class Comparison:
     def _curve(self, number: int, z: Real) -> dict[str, Any]:
         curve, sigma = self.fit.problem.curves[number], self.fit.whitening.curve_sigma[number]
         difference, source = z * sigma, curve.source
-        level = 100.0 if curve.is_angle else float(np.mean(np.abs(curve.value)))  # angles: percents are degrees
+        mean = float(np.mean(np.abs(curve.value))) or 1.0
+        level = 100.0 if curve.is_angle else mean  # angles: percents are degrees
         of = {"sample": source.sample.id} if isinstance(source, MeasuredFarField) else {}
         if isinstance(source, MeasuredSpectrum):
             of = {"sample": source.film.id, "quantity": source.shot.quantity}

@@ -230,8 +230,8 @@ def _next(document: Document) -> Iterator[str]:
 
 def _ladder(document: Document) -> Iterator[str]:
     caption = (
-        "Rms error in percent of the mean signal, of each version of the model; the line is noise alone: the camera's"
-        " and the prediction's own."
+        "Rms error in percent of the mean signal, or of the mean of a unit's curves, of each version of the model;"
+        " the line is noise alone: the camera's and the prediction's own."
     )
     yield html.figure(figures.ladder_picture(document), "The ladder", caption)
     of_curves = {"curves_fitted_percent": "error of curves (%)", "curves_held_out_percent": "held out (%)",

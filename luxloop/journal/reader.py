@@ -197,7 +197,7 @@ def left_over(paths: list[Path]) -> set[Path]:
         later = [Scan(path) for path in paths[1:] if end]
         if any(next(iter(scan), None) and scan.before.records < end for scan in later):
             marks = {commit.mark for commit in Scan(paths[0])}
-            return {path for path in paths[1:] if {commit.mark for commit in deque(Scan(path), 1)} <= marks}
+            return {path for path in paths[1:] if any(end.mark in marks for end in deque(Scan(path), 1))}
     return set()
 
 

@@ -374,7 +374,11 @@ def test_options_go_over_the_file(tmp_path: Any) -> None:
     campaign = read_campaign(path, designer="pattern", method="monte_carlo")
     assert "twin_histories" not in campaign.model_fields_set, "what only the file's method looks at goes with it"
     assert campaign.stop.episodes_without_gain is None
+    path.write_text("designer = 'ddqn-fast'\n[learning]\ngamma = 0.9")
+    assert read_campaign(path, designer="pattern").learning is None
     path.write_text("designer = 'pattern'\n[stop]\nepisodes_without_gain = 3")
+    with pytest.raises(InputError, match="episodes_without_gain"):
+        read_campaign(path, designer="pattern")
     assert read_campaign(path, compared=True).stop.episodes_without_gain == 3
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -191,6 +192,24 @@ def test_a_run_that_went_on_in_between_is_whole(tmp_path: Path, monkeypatch: pyt
     assert [path.name for path in segments_of(folder)] == ["audit-0001.mcap", "audit-0002.mcap"]
     assert sound(folder)
     assert [step.number for step in RunJournal(folder).steps()] == true
+
+
+def test_a_segment_that_nobody_can_read_is_not_taken_for_one_that_is_left(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What a run wrote since, damaged before its first commit: it is refused and stays, for it may be mended."""
+    folder = tmp_path / "run"
+    in_segments(folder, 2, 2)
+    interrupted(folder, monkeypatch)
+    write_run(folder, 1, first=4)
+    damaged = segments_of(folder)[-1]
+    data = bytearray(damaged.read_bytes())
+    data[data.index(b"zstd") + 40] ^= 0xFF
+    damaged.write_bytes(data)
+    assert not list(Scan(damaged))
+    with suppress(LuxloopError):
+        compact(folder)
+    assert bytes(data) in [path.read_bytes() for path in segments_of(folder)]
 
 
 def test_a_segment_of_another_run_is_not_taken_for_one_that_is_left(tmp_path: Path) -> None:

@@ -80,27 +80,33 @@ def held_out(fit: Fit, folds: Sequence[tuple[str, Rows]]) -> HeldOut:
         left.append(there - _solved(fit, columns[:, rows], there, fit.active & ~known) @ columns[:, rows])
         order.append(rows)
     rows, after = np.concatenate(order), np.concatenate(left)
-    relative, count = after * noise[rows] / levels_of(fit)[rows], fit.whitening.count
-    percents = [percent(part) for part in (relative[rows < count], relative[rows >= count]) if len(part)]
+    squares, level, images = (after * noise[rows]) ** 2, levels_of(fit)[rows], rows < fit.whitening.count
+    percents = [percent(squares[part], level[part]) for part in (images, ~images) if part.any()]
     return HeldOut(after, rows, *percents)
 
 
-def percent(relative: Real) -> float:
-    """The root mean square of relative errors (row,), of what is left or of its noise, in percent."""
-    return 100.0 * float(np.sqrt(np.mean(relative**2)))
+def percent(squares: Real, level: Real) -> float:
+    """The root mean square in percent of levels (row,), from squares (row,) of what is left or of its noise.
+
+    Where all rows have one level it is divided by last, as in records of old, which are compared to the last bit.
+    """
+    if np.all(level == level[0]):
+        return 100.0 * float(np.sqrt(np.mean(squares))) / float(level[0])
+    return 100.0 * float(np.sqrt(np.mean(squares / level**2)))
 
 
 def levels_of(fit: Fit) -> Real:
     """What the error of each row (row,) is told in percent of.
 
     For a pixel the mean of all used ones in DN; for a value of a curve the mean size of all that share its unit:
-    R and T, psi and delta; a goniometer's scale is its own.
+    R and T, psi and delta; a goniometer's scale is its own. 1 where all of them are 0, as of an opaque film's T.
     """
     images, curves = zip(fit.problem.images, fit.signals_dn, strict=True), fit.problem.curves
     parts = [("DN", dn[image.used]) for image, dn in images]
     units = ["deg" if one.is_angle else f"of {one.id}" if one.free_scale else "1" for one in curves]
     parts += [(unit, np.abs(one.value)) for unit, one in zip(units, curves, strict=True)]
-    level = {unit: np.mean(np.concatenate([part for own, part in parts if own == unit])) for unit, _ in parts}
+    all_of = {unit: np.concatenate([part for own, part in parts if own == unit]) for unit in dict(parts)}
+    level = {unit: np.mean(values) or 1.0 for unit, values in all_of.items()}
     return np.concatenate([np.full(len(part), level[unit]) for unit, part in parts])
 
 

@@ -72,14 +72,14 @@ def _percents(fit: Fit, *, curves: bool) -> tuple[float, float]:
     count = fit.whitening.count
     level = levels_of(fit)[count:] if curves else levels_of(fit)[:count]
     if curves:
-        noise = np.concatenate([*fit.whitening.curve_sigma])
-        left = fit.residual[count:] * noise
+        sigma = np.concatenate([*fit.whitening.curve_sigma])
+        squares, variance = (fit.residual[count:] * sigma) ** 2, sigma**2
     else:
         images = fit.problem.images
         each = zip(images, fit.signals_dn, strict=True)
-        left = np.concatenate([(one.signal_dn - dn)[one.used] for one, dn in each])
-        noise = np.sqrt(np.concatenate([fit.variance_dn2(number)[one.used] for number, one in enumerate(images)]))
-    return percent(left / level), percent(noise / level)
+        squares = np.concatenate([(one.signal_dn - dn)[one.used] for one, dn in each]) ** 2
+        variance = np.concatenate([fit.variance_dn2(number)[one.used] for number, one in enumerate(images)])
+    return percent(squares, level), percent(variance, level)
 
 
 def ladder(known: Sequence[Version], texts: Mapping[int, str]) -> dict[str, Any]:
