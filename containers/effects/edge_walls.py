@@ -31,5 +31,5 @@ class EdgeWalls(SceneEffect):
         own = Mirror(0.0) if scene.layout.wall is None else scene.layout.wall
         if not isinstance(own, Mirror):
             raise InputError("layout.wall", type(own).__name__, "a mirror, or an open edge", "leave one of both out")
-        both = 1.0 - (1.0 - own.reflectance) * (1.0 - self.reflectance) if own.reflectance else self.reflectance
+        both = own.reflectance + (1.0 - own.reflectance) * self.reflectance  # to the bit its own where this is off
         return replace(scene, layout=replace(scene.layout, wall=Mirror(both)))

@@ -302,6 +302,10 @@ def test_walls_send_back_their_share_and_cells_have_none() -> None:
 def test_walls_stand_in_front_of_the_modules_own() -> None:
     """From its off value on the effect adds to what the edge reflects; a wall that is no mirror it does not know."""
     edge = partial(Array.regular, 1, 1, 500.0)
+    for own in (0.1, 0.3, 0.7):  # off, it is the very same, to the bit
+        of_off = under(EdgeWalls(reflectance=0.0), scene(layout=edge(wall=Mirror(own)))).layout
+        assert isinstance(of_off, Array)
+        assert of_off.wall == Mirror(own)
     for r, both in ((0.0, 0.8), (1e-6, 0.8 + 0.2e-6), (0.5, 0.9)):
         layout = under(EdgeWalls(reflectance=r), scene(layout=edge(wall=Mirror(0.8)))).layout
         assert isinstance(layout, Array)
