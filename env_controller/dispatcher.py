@@ -40,6 +40,7 @@ log = logging.getLogger(__name__)
 
 TICK_S = 0.25
 DEAF_S = 1.0  # a tick that is later than this waited for our own thread: for a disk, or all of us stood still
+MOST_FAILED_TICKS = 40  # in a row, ten seconds: nothing is looked after then, and who watches us begins us anew
 WHY_CHARACTERS = 500  # kept of why an attempt crashed: a compiler's message has pages
 ORPHAN_S = 30.0  # who has not asked again for so long has gone; a task that nobody else wants is withdrawn
 QUESTIONS = ("submit", "withdraw", "status", "hello", "pull", "done", "begin", "act", "note", "end")
@@ -113,7 +114,7 @@ class Dispatcher:
             self._campaigns.stop()
 
     def _serve(self, stop: threading.Event) -> None:
-        next_tick_s = 0.0
+        next_tick_s, failed_ticks = 0.0, 0
         while not stop.is_set():
             event = self._inbox.take(TICK_S)
             if event is not None:
@@ -122,8 +123,10 @@ class Dispatcher:
                 for _ in range(len(self._inbox)):  # a beat that lies in there ends a silence
                     if not stop.is_set() and (event := self._inbox.take(0.0)) is not None:
                         self.take(event)
-                with _going_on("a tick"):
+                failed_ticks += 1
+                with _going_on("a tick", last=failed_ticks == MOST_FAILED_TICKS):
                     self._tick()
+                    failed_ticks = 0
                 next_tick_s = time.monotonic() + TICK_S
 
     def take(self, event: Event) -> None:
@@ -458,11 +461,13 @@ class Dispatcher:
 
 
 @contextmanager
-def _going_on(what: str) -> Iterator[None]:
-    """What is wrong inside is logged, and ends nothing."""
+def _going_on(what: str, *, last: bool = False) -> Iterator[None]:
+    """What is wrong inside is logged, and ends nothing; the `last` time that it is borne it is raised."""
     try:
         yield
     except Exception:
+        if last:
+            raise
         log.exception("%s: something could not be handled", what)
 
 

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
 import threading
+from contextlib import nullcontext
 
 import pytest
 
+from env_controller.dispatcher import MOST_FAILED_TICKS
 from env_controller.roster import GONE_S
 from luxloop.bus import Asked, Heard
 from luxloop.bus.frame import encode
@@ -103,3 +106,22 @@ def test_a_stall_of_a_minute_takes_nobody_off_the_list(desk: StallingDesk, monke
     assert len(desk.status().workers) == 1
     desk.wait(GONE_S + 0.5)
     assert desk.status().workers == ()
+
+
+@pytest.mark.parametrize("failing", [MOST_FAILED_TICKS - 1, MOST_FAILED_TICKS])
+def test_ticks_that_fail_for_ten_seconds_end_a_controller(
+    desk: StallingDesk, monkeypatch: pytest.MonkeyPatch, failing: int
+) -> None:
+    """Nothing is looked after then: it ends, and is begun anew; one less, and it goes on."""
+    ticks, stop = itertools.count(1), threading.Event()
+
+    def tick(_: float) -> None:
+        if next(ticks) <= failing:
+            raise RuntimeError("no room")
+        stop.set()
+
+    monkeypatch.setattr("env_controller.dispatcher.TICK_S", 0.0)
+    monkeypatch.setattr(desk.controller._campaigns, "tick", tick)
+    with pytest.raises(RuntimeError) if failing == MOST_FAILED_TICKS else nullcontext():
+        desk.controller._serve(stop)
+    assert stop.is_set() == (failing < MOST_FAILED_TICKS)
