@@ -69,7 +69,7 @@ def re_decide(journal: RunJournal, say: Callable[[Compared], None], *, same_mach
     )  # fmt: skip
     timed = past.end is not None and past.end.reason.startswith(TIME) and campaign.stop.time_s is not None
     walked = sum(not one.step.final for one in past.steps.values())
-    runner = Walker(
+    runner = AsCounted(
         door, chooser, campaign.stop.model_copy(update={"time_s": None}), lanes=campaign.lanes, seed=campaign.seed,
         past=Past(walked, end=past.end if timed else None), on_walk_end=lambda end: walk_end(past, end, Place(say)),
     )  # fmt: skip
@@ -83,7 +83,7 @@ def re_decide(journal: RunJournal, say: Callable[[Compared], None], *, same_mach
         result(past, found, Place(say))
 
 
-class Walker(Runner):
+class AsCounted(Runner):
     """A runner that counts episodes without a gain as today or, where the record says so, as once: all begun ones."""
 
     recorded: WalkEnd | None = None

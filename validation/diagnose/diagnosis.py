@@ -78,9 +78,9 @@ def diagnosed(ground: Ground, effects: Sequence[EffectSpec], means: Means, *, se
     is_open = first is part or first.verdict.word == "cannot_tell_apart"
     if further and is_open and is_the_rest(first, further[-1]):
         beside = tuple(one.best.name for one in further)
-        verdict, proposals = _verdict_on(first, first.tested, means, beside)
+        verdict, proposals = _verdict_on(first, first.scores.tested, means, beside)
         first = replace(first, verdict=verdict, proposals=proposals, beside=beside)
-    return Diagnosis((first, *further), first.tested or len(effects))
+    return Diagnosis((first, *further), first.scores.tested or len(effects))
 
 
 def _open(effects: Sequence[EffectSpec], present: Collection[str], added: Collection[str]) -> list[EffectSpec]:
@@ -93,7 +93,7 @@ def _as_part(step: Step) -> Step | None:
     """The round with the effect that explains most named, where it explains too little to be named alone."""
     if step.verdict.names or not step.explanations:
         return None
-    return replace(step, verdict=decided(step.explanations, step.tested, str, lambda _: "", beside=()))
+    return replace(step, verdict=decided(step.explanations, step.scores.tested, str, lambda _: "", beside=()))
 
 
 def _verdict_on(
@@ -138,7 +138,7 @@ def _step(ground: Ground, effects: Sequence[EffectSpec], means: Means, seed: int
     tried.refit(means.progress)
     tried.finish(means.progress)
     tried.look_into_group(means.members_fit, means.ground_of)
-    verdict, proposals = _verdict_on(tried, len({one.effect.name for one in candidates}), means)
+    verdict, proposals = _verdict_on(tried, scored.tested, means)
     return Step(ground, scored, alike, tuple(tried.refits), tuple(tried.explanations), verdict, proposals)
 
 

@@ -70,15 +70,16 @@ class Rung:
 def _percents(fit: Fit, *, curves: bool) -> tuple[float, float]:
     """The error in what was fitted and that of noise alone, of the images or of the curves."""
     count = fit.whitening.count
-    level = levels_of(fit)[count:] if curves else levels_of(fit)[:count]
+    rows = slice(count, None) if curves else slice(count)
     if curves:
         sigma = np.concatenate([*fit.whitening.curve_sigma])
-        squares, variance = (fit.residual[count:] * sigma) ** 2, sigma**2
+        squares, variance = (fit.residual[rows] * sigma) ** 2, sigma**2
     else:
         images = fit.problem.images
         each = zip(images, fit.signals_dn, strict=True)
         squares = np.concatenate([(one.signal_dn - dn)[one.used] for one, dn in each]) ** 2
         variance = np.concatenate([fit.variance_dn2(number)[one.used] for number, one in enumerate(images)])
+    level = levels_of(fit)[rows]
     return percent(squares, level), percent(variance, level)
 
 

@@ -35,11 +35,6 @@ class Step:
     """Effects of further rounds with which the verdict was made: together with its best one they leave nothing."""
 
     @property
-    def tested(self) -> int:
-        """How many effects had columns on these data."""
-        return len(self.scores.effects) + len(self.scores.untestable)
-
-    @property
     def best(self) -> Explanation:
         """The explanation that the verdict names first."""
         return next(one for one in self.explanations if one.name == self.verdict.set[0])

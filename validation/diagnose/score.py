@@ -133,6 +133,11 @@ class Scores:
     untestable: tuple[str, ...]
     """Effects whose columns are nothing beside what is fitted anyway, or nothing at all."""
 
+    @property
+    def tested(self) -> int:
+        """How many effects had columns on these data."""
+        return len(self.effects) + len(self.untestable)
+
     def of(self, name: str) -> EffectScore | None:
         """An effect's, None where it cannot be tested."""
         return next((one for one in self.effects if one.name == name), None)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.validation.analytic import MODEL, PATHS, SINGLE, TRUTH, Spots, blank, measured
-from tests.validation.diagnose.made_up import GAIN, ground_of, images_of, spec
+from tests.validation.diagnose.made_up import GAIN, data, diagnosis, ground_of, images_of, spec
 from tests.validation.lines import SIGMA, Lines, fit_of_lines, noisy
 from validation import told_diagnosis
 from validation.adding import told_of
@@ -32,6 +32,14 @@ def test_camera_pattern_and_monte_carlo_are_all_noise(prnu: float, share: float)
     rung = Rung.of(ground_of(found))
     assert rung.noise_percent == pytest.approx(wanted, rel=0.02)
     assert rung.held_out_percent is None
+
+
+def test_a_right_model_is_at_the_noise_of_its_rung() -> None:
+    """Fitted error and noise agree where nothing is hidden; held out is a little above."""
+    rung = Rung.of(ground_of(diagnosis(data(None, 9)).steps[0].ground.fit))
+    assert rung.fitted_percent == pytest.approx(rung.noise_percent, rel=0.02)
+    assert rung.held_out_percent is not None
+    assert rung.fitted_percent < rung.held_out_percent < 1.2 * rung.noise_percent
 
 
 def test_what_was_fitted_and_what_was_left_out_are_told_of_one_mean() -> None:
