@@ -2,8 +2,9 @@
 
 A write is one transaction, so a process killed in the middle of it leaves the database as it was (synchronous =
 NORMAL: a power cut may also take the last writes, which can be computed again). What is read is hashed again: an
-entry that does not match is dropped and reported as missing, and the worker computes it anew. One connection behind
-a lock: threads of one process may share an object; processes may share the file, a writer waits 10 s for another.
+entry that does not match is dropped and reported as missing, and the worker computes it anew. Where pages of the file
+are damaged, what is whole is kept and the rest goes (`salvage`). One connection behind a lock: threads of one process
+may share an object; processes may share the file, a writer waits 10 s for another.
 """
 
 from __future__ import annotations
@@ -12,9 +13,12 @@ import hashlib
 import sqlite3
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
+from typing import TypeVar
 
+from containers.thin_film.salvage import is_damage, salvage
 from luxloop.errors import InputError
 
 MAX_BYTES = 1 << 30
@@ -31,6 +35,7 @@ CHECKPOINT_PAGES = 256
 WAL_BYTES = 16 << 20
 BUSY_S = 10.0
 HEX = frozenset("0123456789abcdef")
+T = TypeVar("T")
 
 
 class FilmDatabase:
@@ -47,53 +52,36 @@ class FilmDatabase:
 
     def get(self, key: str) -> tuple[str, bytes] | None:
         """(hash, packed table) of a request's key, or None where it is not there or no longer what it was."""
+        _hex("key", key)
         with self._lock:
-            found = self._read("SELECT sha256 FROM films WHERE key = ?", _hex("key", key))
-            packed = self.blob(str(found)) if found is not None else None
-            return (str(found), packed) if packed is not None else None
+            return self._whole(lambda: self._get(key))
 
     def blob(self, sha256: str) -> bytes | None:
         """The packed table with this hash, or None."""
+        _hex("sha256", sha256)
         with self._lock:
-            packed = self._read("SELECT packed FROM blobs WHERE sha256 = ?", _hex("sha256", sha256))
-            if packed is None:
-                return None
-            if not isinstance(packed, bytes) or hashlib.sha256(packed).hexdigest() != sha256:
-                self.corrupted += 1
-                with self._connection:
-                    self._drop(sha256)
-                return None
-            self._used.add(sha256)
-            return packed
+            return self._whole(lambda: self._blob(sha256))
 
     def put(self, key: str, packed: bytes) -> str:
         """Keep a packed table under a request's key; its hash. The least recently used go when the bound is passed.
 
         Raises InputError for a key that is no SHA-256 or a table above the bound, sqlite3.Error where the disk fails.
         """
+        _hex("key", key)
         if len(packed) > self._max_bytes:
             raise InputError("table", f"{len(packed)} bytes", f"at most max_bytes = {self._max_bytes}")
-        sha256, now = hashlib.sha256(packed).hexdigest(), time.time()
-        with self._lock, self._connection:
-            # a write comes first, so that the transaction waits for another process instead of failing half way
-            self._connection.execute("INSERT OR REPLACE INTO films VALUES (?, ?)", (_hex("key", key), sha256))
-            self._connection.execute("INSERT OR IGNORE INTO blobs VALUES (?, ?)", (sha256, packed))
-            self._connection.execute("INSERT OR REPLACE INTO uses VALUES (?, ?, ?)", (sha256, len(packed), now))
-            self._note_uses(now)
-            self._evict(keep=sha256)
-        return sha256
+        with self._lock:
+            return self._whole(lambda: self._put(key, packed))
 
     def entries(self) -> list[tuple[str, str, int]]:
         """(key, hash, bytes) of every entry."""
         with self._lock:
-            query = "SELECT key, sha256, bytes FROM films JOIN uses USING (sha256) ORDER BY key"
-            return [(str(key), str(sha256), int(size)) for key, sha256, size in self._connection.execute(query)]
+            return self._whole(self._entries)
 
     def close(self) -> None:
         """Write the noted uses and let go of the file."""
         with self._lock:
-            with self._connection:
-                self._note_uses(time.time())
+            self._whole(self._note_last_uses)
             self._connection.close()
 
     def __enter__(self) -> FilmDatabase:
@@ -104,16 +92,49 @@ class FilmDatabase:
     ) -> None:
         self.close()
 
-    def _read(self, query: str, value: str) -> object:
-        """The one value found, or None; None too, and counted, where the pages of the file are damaged."""
+    def _whole(self, act: Callable[[], T]) -> T:
+        """What `act` gives; once more where pages of the file were damaged, after what is whole has been kept."""
         try:
-            found = self._connection.execute(query, (value,)).fetchone()
-        except sqlite3.OperationalError:  # busy, disk gone: not the entry's fault
-            raise
-        except sqlite3.DatabaseError:
+            return act()
+        except sqlite3.DatabaseError as error:
+            if not is_damage(error):
+                raise
             self.corrupted += 1
+            salvage(self._connection, TABLES)
+            return act()
+
+    def _get(self, key: str) -> tuple[str, bytes] | None:
+        found = self._connection.execute("SELECT sha256 FROM films WHERE key = ?", (key,)).fetchone()
+        packed = self._blob(found[0]) if found else None
+        return (found[0], packed) if packed is not None else None
+
+    def _blob(self, sha256: str) -> bytes | None:
+        found = self._connection.execute("SELECT packed FROM blobs WHERE sha256 = ?", (sha256,)).fetchone()
+        if found is None:
             return None
-        return found[0] if found else None
+        packed = found[0]
+        if not isinstance(packed, bytes) or hashlib.sha256(packed).hexdigest() != sha256:
+            self.corrupted += 1
+            with self._connection:
+                self._drop(sha256)
+            return None
+        self._used.add(sha256)
+        return packed
+
+    def _put(self, key: str, packed: bytes) -> str:
+        sha256, now = hashlib.sha256(packed).hexdigest(), time.time()
+        with self._connection:
+            # a write comes first, so that the transaction waits for another process instead of failing half way
+            self._connection.execute("INSERT OR REPLACE INTO films VALUES (?, ?)", (key, sha256))
+            self._connection.execute("INSERT OR REPLACE INTO blobs VALUES (?, ?)", (sha256, packed))
+            self._connection.execute("INSERT OR REPLACE INTO uses VALUES (?, ?, ?)", (sha256, len(packed), now))
+            self._note_uses(now)
+            self._evict(keep=sha256)
+        return sha256
+
+    def _entries(self) -> list[tuple[str, str, int]]:
+        query = "SELECT key, sha256, bytes FROM films JOIN uses USING (sha256) ORDER BY key"
+        return [(str(key), str(sha256), int(size)) for key, sha256, size in self._connection.execute(query)]
 
     def _drop(self, sha256: str) -> None:
         for table in ("blobs", "uses", "films"):
@@ -124,6 +145,10 @@ class FilmDatabase:
         query = "UPDATE uses SET used_unix_s = ? WHERE sha256 = ?"
         self._connection.executemany(query, [(now, sha256) for sha256 in self._used])
         self._used.clear()
+
+    def _note_last_uses(self) -> None:
+        with self._connection:
+            self._note_uses(time.time())
 
     def _evict(self, keep: str) -> None:
         (total,) = self._connection.execute("SELECT sum(bytes) FROM uses").fetchone()
@@ -150,6 +175,7 @@ def _connect(path: Path) -> sqlite3.Connection:
         connection = sqlite3.connect(path, timeout=BUSY_S, check_same_thread=False)
     except sqlite3.Error as error:
         raise _unusable(path, error) from error
+    connection.text_factory = _text
     try:
         with connection:  # one snapshot: another process may be making the tables at this moment
             connection.execute("BEGIN")
@@ -167,6 +193,11 @@ def _connect(path: Path) -> sqlite3.Connection:
         connection.close()
         raise
     return connection
+
+
+def _text(raw: bytes) -> str:
+    """Text of a damaged page may be none; it is then no key and no hash that is asked for."""
+    return raw.decode(errors="replace")
 
 
 def _write_ahead(connection: sqlite3.Connection) -> None:
