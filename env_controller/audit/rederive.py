@@ -33,6 +33,7 @@ LAST_BITS = 1e-12
 """Of a reward: powers are rounded by each system's own library."""
 TURNS = 8  # a film, its rays, and both again where the film has gone
 LEAVES = 3  # of two documents that differ, shown
+ABSENT = "not there"
 
 
 def re_derive(journal: RunJournal, say: Callable[[Compared], None], *, same_machine: bool) -> None:  # noqa: ARG001  # bits count on any machine
@@ -168,8 +169,10 @@ def first_leaves(logged: dict[str, Any], now: dict[str, Any]) -> tuple[Any, Any]
     if logged == now:
         return logged, now
     ours, theirs = flat(logged), flat(now)
-    names = [name for name in {**ours, **theirs} if ours.get(name) != theirs.get(name)][:LEAVES]
-    return {name: ours.get(name) for name in names}, {name: theirs.get(name) for name in names}
+    names = [name for name in {**ours, **theirs} if ours.get(name, ABSENT) != theirs.get(name, ABSENT)][:LEAVES]
+    if not names:  # an empty group here, none there
+        return logged, now
+    return {name: ours.get(name, ABSENT) for name in names}, {name: theirs.get(name, ABSENT) for name in names}
 
 
 def _step_of(commands: list[Command], action: Action) -> Step | None:

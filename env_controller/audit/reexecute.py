@@ -44,6 +44,7 @@ SAMPLE = 0.02
 PATIENCE_S = 300.0  # a worker that starts for the first time compiles its kernels
 OF_FIGURES = ("uniformity", "mean_illuminance_lx", "optical_efficiency")
 CHANCE = {"known"}  # of a film's answer: whether its worker had it in its database
+LOST = "its request or its reply is not on record"
 ROUNDS = "other packages or another processor round otherwise"
 WORST, DRAWN = "worst pixel", "one pixel of each map"
 Say = Callable[[Compared], None]
@@ -75,10 +76,14 @@ class Question:
 
 @dataclass(frozen=True)
 class Record:
-    """The chosen evaluations in the order of the journal, and the films they need by the hash of their table."""
+    """The chosen evaluations in the order of the journal, and the films they need by the hash of their table.
+
+    `lost`: steps whose request or reply is not on record, with their place in the journal.
+    """
 
     questions: list[Question]
     films: dict[str, tuple[RequestRecord, ReplyRecord]]
+    lost: list[tuple[int, Step]]
 
 
 def re_execute(
@@ -89,6 +94,10 @@ def re_execute(
     Where no set runs at `settings.router` and `local` allows it, one is started whose caches are empty. Raises
     RemoteError where no worker can be had.
     """
+    for sequence, step in record.lost:
+        Place.of(say, sequence, step).nothing("result", LOST)
+    if not record.questions:
+        return
     with fresh_client(settings, local=local) as client:
         workers, here = client.status().workers, at_home(client)
         asked = Asked(client, say, same_machine and here, new_seed)
@@ -147,7 +156,13 @@ def _read(journal: RunJournal, steps: Mapping[str, tuple[int, Step]]) -> Record:
         for task, reply in replies.items()
         if reply.kind == "film" and reply.result is not None and task in requests
     }
-    return Record(sorted(found, key=lambda one: one.sequence), {sha: films[sha] for sha in films if sha in needed})
+    lost = sorted({sequence for sequence, _ in steps.values()} - {one.sequence for one in found})
+    step_at = dict(steps.values())
+    return Record(
+        sorted(found, key=lambda one: one.sequence),
+        {sha: films[sha] for sha in films if sha in needed},
+        [(sequence, step_at[sequence]) for sequence in lost],
+    )
 
 
 @contextmanager

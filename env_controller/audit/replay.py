@@ -28,6 +28,8 @@ SAME, FAILED, DIFFERS, BROKEN = 0, 1, 4, 5
 """Exit codes."""
 KEPT = 1000  # differences of which the first are shown
 SHOWN = 10
+ON_THE_WAY = frozenset({"film", "film arrays"})
+"""Compared at level 4 on the way to a campaign's evaluations: alone they say nothing of it."""
 Document = dict[str, Any]
 
 
@@ -75,12 +77,15 @@ class Tally:
         return sorted(self.differences, key=lambda one: (one.sequence < 0, one.sequence))[:count]
 
     @property
+    def agreed(self) -> int:
+        """Comparisons of what the replay is about that came out the same."""
+        about = [of_it for what, of_it in self.counts.items() if what not in ON_THE_WAY]
+        return sum(of_it["identical"] + of_it["within tolerance"] for of_it in about)
+
+    @property
     def exit_code(self) -> int:
-        """0 where nothing differs, 4 where something does, 1 where nothing could be compared."""
-        total = self.total
-        if total["differs"]:
-            return DIFFERS
-        return SAME if total["identical"] or total["within tolerance"] else FAILED
+        """0 where nothing differs, 4 where something does, 1 where nothing could be compared but films."""
+        return DIFFERS if self.total["differs"] else SAME if self.agreed else FAILED
 
 
 @dataclass(frozen=True)

@@ -208,8 +208,8 @@ def _verdict(document: dict[str, Any]) -> str:
     counts = document["counts"]
     if counts["differs"]:
         return f"it differs: {counts['differs']:,} of {sum(counts.values()):,} comparisons"
-    if not counts["identical"] + counts["within tolerance"]:
-        return "nothing could be compared"
+    if document["exit"]:
+        return "nothing could be compared" + (", but films" if counts["identical"] else "")
     return "identical" if not counts["within tolerance"] else "the same within tolerance"
 
 

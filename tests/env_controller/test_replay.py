@@ -15,8 +15,10 @@ from typer.testing import CliRunner
 
 from env_controller.audit import scores
 from env_controller.audit.machine import machine, other_bits
-from env_controller.audit.reexecute import Asked, Choice, Question, array_sha256, chosen, compare
+from env_controller.audit.rederive import first_leaves
+from env_controller.audit.reexecute import Asked, Choice, Question, array_sha256, chosen, compare, re_execute
 from env_controller.audit.replay import Replay, Tally, verified
+from env_controller.audit.replay_command import as_text
 from luxloop.audit import Compared, Place
 from luxloop.client import Answer, Client
 from luxloop.design import Bounds
@@ -254,6 +256,36 @@ def test_nothing_comparable_is_no_success() -> None:
     assert tally.exit_code == 1
     tally.take(Compared("proposal", "within tolerance"))
     assert tally.exit_code == 0
+
+
+def test_films_alone_are_no_success() -> None:
+    """The films were the same again, and no evaluation could be had: that says nothing of the run."""
+    tally = Tally()
+    Place(tally.take).exact("film", "a", "a")
+    Place(tally.take, 3).nothing("result", "the ray worker says: an unknown field")
+    assert tally.exit_code == 1
+    found = Replay(GOLDEN / NAMES[0], 4, verified(GOLDEN / NAMES[0], 1).audit, tally, {})
+    assert as_text(found.document(), found)[-1] == "verdict      nothing could be compared, but films"
+    Place(tally.take, 4).exact("result", 1, 1)
+    assert tally.exit_code == 0
+
+
+def test_an_evaluation_whose_reply_is_lost_is_told(tmp_path: Path) -> None:
+    """It cannot be compared, and is counted as such; where all are lost no worker is asked."""
+    record = chosen(RunJournal(GOLDEN / NAMES[0]), Choice(best=True))
+    (question,), said = record.questions, Said()
+    lost = replace(record, questions=[], films={}, lost=[(question.sequence, question.step)])
+    re_execute(lost, Settings(router="tcp/127.0.0.1:9", cache=tmp_path), said.append, same_machine=True, local=False)
+    assert [(one.what, one.verdict, one.sequence) for one in said] == [
+        ("result", "not comparable", question.sequence)
+    ]
+
+
+def test_what_is_none_and_what_is_not_there_are_two_things() -> None:
+    """A leaf that is gone, an empty group that is gone."""
+    assert first_leaves({"a": None, "b": 1}, {"b": 1}) == ({"a": None}, {"a": "not there"})
+    assert first_leaves({"a": {}, "b": 1}, {"b": 1}) == ({"a": {}, "b": 1}, {"b": 1})
+    assert first_leaves({"a": 1}, {"a": 1}) == ({"a": 1}, {"a": 1})
 
 
 def test_versions_that_differ_are_named() -> None:
