@@ -147,9 +147,21 @@ def _keep(paths: list[Path], folder: Path) -> Path:
         try:
             os.link(path, folder / path.name)
         except OSError:
-            copy2(path, folder / path.name)
+            _copy(path, folder / path.name)
     sync_folder(folder)
     return folder
+
+
+def _copy(path: Path, to: Path) -> None:
+    """A copy that has its name only once it is whole and on the disk: a part of one is no earlier segment."""
+    part = to.with_name(f".{to.name}.part")
+    try:
+        copy2(path, part)
+        with part.open("rb") as file:
+            os.fsync(file.fileno())
+        part.replace(to)
+    finally:
+        part.unlink(missing_ok=True)
 
 
 def _swap(paths: list[Path], fresh: Path) -> None:

@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from env_controller.audit.checks import how_left, read_side_file
 from luxloop.errors import InputError, LuxloopError
@@ -111,16 +111,28 @@ def alone(folder: Path) -> Iterator[list[Path]]:
 
 @contextmanager
 def held(path: Path) -> Iterator[bool]:
-    """While inside, the segment seems to be written, so that nobody else goes on with the run; False where it is."""
-    with path.open("rb") as file:
+    """While inside, the segment seems to be written, so that nobody else goes on with the run; False where it is.
+
+    Over a network a lock of one's own is only for files opened for writing, and another's may be told as a refusal.
+    """
+    with _for_writing(path) as file:
+        lock = fcntl.LOCK_EX if file.writable() else fcntl.LOCK_SH
         try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.flock(file, lock | fcntl.LOCK_NB)
             free = True
-        except BlockingIOError:
+        except (BlockingIOError, PermissionError):
             free = False
         except OSError:  # a file system without locks
             free = True
         yield free
+
+
+def _for_writing(path: Path) -> BinaryIO:
+    """A file opened to be changed, or to be read where it may not be; nothing of it is changed by that."""
+    try:
+        return path.open("r+b")
+    except OSError:
+        return path.open("rb")
 
 
 @contextmanager

@@ -168,7 +168,7 @@ def being_written(path: Path) -> bool:
     with suppress(OSError), path.open("rb") as file:
         try:
             fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
-        except BlockingIOError:
+        except (BlockingIOError, PermissionError):  # the latter over some networks
             return True
     return False
 

@@ -305,3 +305,28 @@ def test_a_disk_that_gets_full_costs_nothing(tmp_path: Path, monkeypatch: pytest
     with pytest.raises(LuxloopError, match=r"cannot write in .*run: No space left on device; make room there"):
         compact(folder)
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+
+
+def test_a_copy_that_was_cut_is_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No second names, and the disk gets full in a copy: what is kept is whole, the next time comes to its end."""
+    folder = tmp_path / "run"
+    three_starts(folder)
+    before = {path.name: path.read_bytes() for path in segments_of(folder)}
+
+    def no_links(*_: object) -> None:
+        raise OSError("no links here")
+
+    def cut(path: Path, to: Path) -> None:
+        if path.name == "audit-0002.mcap":
+            to.write_bytes(path.read_bytes()[:1000])
+            raise OSError(28, "No space left on device")
+        to.write_bytes(path.read_bytes())
+
+    monkeypatch.setattr(os, "link", no_links)
+    with monkeypatch.context() as patch:
+        patch.setattr(compact_module, "copy2", cut)
+        with pytest.raises(LuxloopError, match="make room there"):
+            compact(folder)
+    assert [path.name for path in (folder / "segments-before").iterdir()] == ["audit-0001.mcap"]
+    assert compact(folder).segments == 3
+    assert {path.name: path.read_bytes() for path in (folder / "segments-before").iterdir()} == before

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import fcntl
 import json
 import random
 import shutil
@@ -290,3 +292,27 @@ def test_a_person_reads_what_was_saved(run: Path) -> None:
     text = CliRunner().invoke(app, ["recover", str(run)]).stdout
     for wanted in ("audit-0001.mcap", "bytes not used", "saved with loss", "luxloop audit verify", "is as it was"):
         assert wanted in text, wanted
+
+
+@pytest.mark.parametrize("refused", [errno.EAGAIN, errno.EACCES])
+def test_a_run_that_is_written_over_a_network_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: int
+) -> None:
+    """There, locks are of ranges of bytes: an exclusive one needs a file opened for writing (Linux, flock(2), NFS and
+    CIFS), and another's may be told as a refusal."""
+    flock = fcntl.flock
+
+    def over_a_network(file: Any, lock: int) -> None:
+        if lock & fcntl.LOCK_EX and not file.writable():
+            raise OSError(errno.EBADF, "Bad file descriptor")
+        try:
+            flock(file, lock)
+        except BlockingIOError as error:
+            raise OSError(refused, "held") from error
+
+    monkeypatch.setattr(fcntl, "flock", over_a_network)
+    journal = open_journal(tmp_path / "run")
+    with pytest.raises(InputError, match="a run that nobody writes"):
+        recover(tmp_path / "run")
+    journal.close()
+    assert recover(tmp_path / "run").mark.records
