@@ -184,4 +184,5 @@ def _tell(document: dict[str, Any], as_json: bool, *, where: bool) -> None:
     lines = list(told.comparison(document))
     if where:
         lines += ["", *told.regions(document)]
+    lines += told.binned(document["shots"], lines)
     typer.echo("\n".join(lines))

@@ -181,9 +181,10 @@ class Comparison:
             "noise_percent": 100.0 * float(np.sqrt(np.mean(variance))) / level,
             "mse": mse, "mse_dn2": mse_dn2,
             "gain_dn_mm2": self.fit.gains[shot], "offset_dn": self.fit.offsets_dn[shot],
-            "shift_um": [pose.shift_px[1] * image.pixel_um, pose.shift_px[0] * image.pixel_um],
+            "shift_um": list(pose.shift_um(image.pixel_um)),
             "rotation_deg": pose.rotation_deg, "saturated": image.saturated, "masked": image.masked,
-            "pixel_um": image.pixel_um, "centre_px": list(image.centre_px), "nuisances": self._nuisances(shot),
+            "pixel_um": image.pixel_um, "binning": image.binning, "centre_px": list(image.centre_px),
+            "nuisances": self._nuisances(shot),
         }  # fmt: skip
 
     def _nuisances(self, shot: str) -> list[dict[str, Any]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
@@ -10,6 +11,7 @@ from luxloop.units import unit_of
 Document = Mapping[str, Any]
 
 REGIONS = 8
+LINES = re.compile(r"\b(rows|columns) \d")
 FAR_PULL = 3.0  # standard deviations: of two priors an image, one of six images is so far in 3 % of data sets
 MEND = {"gain_error": "is its exposure_ms right?", "rotation_deg": "does the sample lie straight under the camera?"}
 
@@ -65,6 +67,18 @@ def regions(document: Document) -> Iterator[str]:
         for region in document["regions"][:REGIONS]
     ]
     yield from table(("sigma", "seen in", "where", "shot"), rows)
+
+
+def binned(shots: Sequence[Document], said: Sequence[str]) -> Iterator[str]:
+    """What rows and columns are, where something is said of them and images were binned for it."""
+    if not any(LINES.search(line) for line in said):
+        return
+    sides: dict[int, list[str]] = {}
+    for shot in shots:
+        sides.setdefault(shot.get("binning") or 1, []).append(shot["id"])
+    for side in sorted(sides.keys() - {1}):
+        of = "" if len(sides) == 1 else f" of {', '.join(sides[side])}"
+        yield f"Rows and columns{of} are of the images as compared: each is {side} of the camera's."
 
 
 def parameters(rows: Sequence[Document]) -> Iterator[str]:

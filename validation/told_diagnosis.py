@@ -8,7 +8,7 @@ from typing import Any
 
 from validation.diagnose.explanation import size_in_words
 from validation.diagnose.proposal import chip_by_chip, next_in_words
-from validation.told import table, warnings
+from validation.told import binned, table, warnings
 
 Document = Mapping[str, Any]
 
@@ -25,6 +25,7 @@ def diagnosis(document: Document) -> Iterator[str]:
     yield f"Structure: p {found['p_text']}; the {document['known']} known effects: p {chance}."
     yield from warnings(document)
     yield from (one["words"] for one in document["held"])
+    yield from binned(document["shots"], [document["sentence"]])
     if document["effects"]:
         yield ""
         heads = ("effect", "size", "chi2 drop", "explains", "held-out error", "ln evidence", "p left", "alike")

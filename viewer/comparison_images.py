@@ -40,7 +40,7 @@ class Image:
     model_dn: Values
     z: Values
     pixel_um: float
-    centre_px: tuple[float, float]
+    centre_px: tuple[float, float]  # (row, column), where the fit found the module's centre
 
     @property
     def cut(self) -> tuple[int, int]:
@@ -58,8 +58,10 @@ def image_of(shot: Document, arrays: Arrays) -> Image:
     """The image of a shot of the document."""
     names = ("measured_dn", "model_dn", "z")
     measured_dn, model_dn, z = (np.asarray(arrays[f"{shot['id']}/{name}"], dtype=np.float64) for name in names)
-    row, column = shot["centre_px"]
-    return Image(measured_dn, model_dn, z, float(shot["pixel_um"]), (float(row), float(column)))
+    pixel_um = float(shot["pixel_um"])
+    shift_um = shot.get("shift_um") or (0.0, 0.0)  # earlier diagnoses do not tell it
+    row, column = (at_px + um / pixel_um for at_px, um in zip(shot["centre_px"], reversed(shift_um), strict=True))
+    return Image(measured_dn, model_dn, z, pixel_um, (float(row), float(column)))
 
 
 def joined(image: Image) -> int:

@@ -11,6 +11,7 @@ from viewer.html import NOTHING, paragraph
 Document = Mapping[str, Any]
 
 REGIONS_SHOWN = 20
+COUNTS = "binning", "saturated", "masked"
 
 
 def number(value: float | None, digits: int = 3) -> str:
@@ -84,13 +85,14 @@ def placing(document: Document) -> Iterator[str]:
             shot["id"], number(shot.get("gain_dn_mm2"), 4), number(shot.get("offset_dn")),
             *(_fixed(part, 2) for part in shift), _fixed(shot.get("rotation_deg"), 3),
             f"{shot['pixels']:,}", number(shot.get("pixel_um")),
-            *(NOTHING if shot.get(name) is None else f"{shot[name]:,}" for name in ("saturated", "masked")),
+            *(NOTHING if shot.get(name) is None else f"{shot[name]:,}" for name in COUNTS),
         ))  # fmt: skip
     heads = ("shot", "gain, DN mm²", "offset, DN", "shift x, µm", "shift y, µm", "rotation, °", "pixels", "pixel, µm",
-             "saturated", "masked")  # fmt: skip
+             "binned", "saturated", "masked")  # fmt: skip
     caption = (
         "Fitted to each image, so that no difference is blamed on the model that a moved or brighter camera explains."
-        " Pixels: as compared, after binning; saturated and masked ones are raw pixels and are in no figure."
+        " Pixels: as compared; each is as many of the camera's a side as stand under binned. Saturated and masked"
+        " ones are raw pixels and are in no figure."
     )
     yield "<h3>Where each image lies</h3>"
     yield html.table(heads, rows, caption)
@@ -110,6 +112,7 @@ def regions(document: Document) -> Iterator[str]:
         "Sums of residuals over a region, standardised by what noise, the fitted camera and the model's own error"
         " give: z is in sigma, its error is 1. The least likely come first; of many regions the largest z is large by"
         " chance too, so families of few regions may stand before larger ones, and structure p is what counts."
+        " Rows and columns are of the images as compared: their size in camera pixels stands under Provenance."
     )
     if len(found) > REGIONS_SHOWN:
         caption += f" The first {REGIONS_SHOWN} of {len(found)}."

@@ -143,6 +143,17 @@ def test_an_image_tells_its_own_values_with_errors_and_a_wrong_exposure_is_said(
     assert any("is its exposure_ms right?" in line for line in told.pulled(document["shots"]))
 
 
+def test_rows_of_binned_images_are_told_to_be_no_rows_of_the_camera() -> None:
+    """Only where lines of the image are named, and only of what was binned; earlier documents know of no binning."""
+    shots = [{"id": "a", "binning": 4}, {"id": "b", "binning": 1}, {"id": "c"}]
+    assert not list(told.binned(shots, ["azimuth 315-337.5 deg", "the 3 rows"]))
+    (line,) = told.binned(shots, ["a  2.43 %  rows 2-3, columns 22-23 (-3.4 sigma)"])
+    assert line == "Rows and columns of a are of the images as compared: each is 4 of the camera's."
+    (line,) = told.binned(shots[:1], ["columns 40-41 (+2.9 sigma)"])
+    assert line == "Rows and columns are of the images as compared: each is 4 of the camera's."
+    assert not list(told.binned(shots[1:], ["columns 40-41 (+2.9 sigma)"]))
+
+
 def test_a_straight_line_is_found_with_its_weights() -> None:
     """Slope and intercept; a point without weight has no say."""
     x = np.linspace(0.0, 1.0, 9)

@@ -49,7 +49,7 @@ def image(arrays: Arrays, name: str, side: int = 64, chips: int = 1, pairs: floa
         "p_text": "< 1e-4" if missing else "0.42", "z": 41.3 if missing else 1.2,
         "worst_region": "0-100 um from the nearest chip", "gain_dn_mm2": 2213.4, "offset_dn": 0.31,
         "shift_um": [1.21, -0.43], "rotation_deg": 0.012, "saturated": 3, "masked": 15, "pixel_um": pixel_um,
-        "centre_px": [centre, centre],
+        "centre_px": [centre, centre], "binning": 3,
     }  # fmt: skip
 
 
@@ -177,6 +177,15 @@ def test_the_numbers_are_those_of_the_document(whole: tuple[dict[str, Any], Arra
         assert told in text
 
 
+def test_a_map_is_about_the_centre_that_the_fit_found(whole: tuple[dict[str, Any], Arrays, Parsed, str]) -> None:
+    """Rings and sectors of the words are about that one, too: x at 0 lies where the fit has shifted it to."""
+    document, arrays = whole[:2]
+    shot = document["shots"][0] | {"shift_um": [10.0, -4.0]}
+    first, found = (images.image_of(one, arrays) for one in (shot | {"shift_um": None}, shot))
+    assert found.at_mm(1) == pytest.approx(first.at_mm(1) - 0.010)
+    assert found.at_mm(0) == pytest.approx(first.at_mm(0) + 0.004)
+
+
 def test_every_figure_says_its_error_and_its_command(whole: tuple[dict[str, Any], Arrays, Parsed, str]) -> None:
     """Each caption names noise or sigma, and the command."""
     captions = re.findall(r"<figcaption>(.*?)</figcaption>", whole[3], re.DOTALL)
@@ -251,9 +260,10 @@ def test_maps_lie_as_the_light_does() -> None:
     shown = [one for axes in figure.axes for one in axes.get_images()]
     assert len(shown) == 4
     half_mm = 0.5 * 8 * shot["pixel_um"] / 1000.0
+    x, y = (-um / 1000.0 for um in shot["shift_um"])
     for one in shown:
         assert one.origin == "lower"
-        assert one.get_extent() == pytest.approx([-half_mm, half_mm, -half_mm, half_mm])
+        assert one.get_extent() == pytest.approx([x - half_mm, x + half_mm, y - half_mm, y + half_mm])
     np.testing.assert_array_equal(shown[0].get_array(), arrays["a/measured_dn"])
     assert [one.get_clim() for one in shown[2:]] == [(-4.0, 4.0)] * 2
 

@@ -76,7 +76,8 @@ def shot_documents(fit: Fit) -> list[dict[str, Any]]:
     images = [
         {
             "id": image.shot.id, "kind": "image", "sample": image.sample.id, "pixel_um": image.pixel_um,
-            "dbr_pairs": image.sample.dbr_pairs, "centre_px": list(image.centre_px),
+            "dbr_pairs": image.sample.dbr_pairs, "centre_px": list(image.centre_px), "binning": image.binning,
+            "shift_um": list(fit.poses[image.shot.id].shift_um(image.pixel_um)),
             "pixels": int(image.used.sum()), "chi2_per_pixel": float(np.sum(z**2)) / int(image.used.sum()),
         }
         for image, z in zip(fit.problem.images, fit.residual_images, strict=True)

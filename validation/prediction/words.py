@@ -40,6 +40,10 @@ class Pose:
     rotation_deg: float = 0.0
     """Of the image about the module's centre, x towards y."""
 
+    def shift_um(self, pixel_um: float) -> tuple[float, float]:
+        """(x, y) on the receiver of a view with such pixels."""
+        return self.shift_px[1] * pixel_um, self.shift_px[0] * pixel_um
+
 
 @dataclass(frozen=True)
 class Sensor:
