@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import random
+import shutil
 import signal
 import subprocess
 import sys
@@ -15,6 +16,7 @@ import pytest
 from luxloop.errors import InputError
 from luxloop.model import Model
 from luxloop.model_file import read_model, to_toml
+from validation import model_versions
 from validation.model_versions import BY_HAND, previous, save, undo, version_text, versions
 
 SAVING = """
@@ -76,29 +78,45 @@ def test_undo_goes_back_and_undo_again_forth(tmp_path: Path) -> None:
     assert len(versions(path)) == 5
 
 
-def test_undo_after_a_save_that_was_killed_before_the_file_was_written(tmp_path: Path) -> None:
+def test_undo_after_a_save_that_was_killed_before_the_file_was_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Its version is there, its text in no file: undo goes back from what the file holds, never forth to that."""
     path = tmp_path / "model.toml"
     save(path, Model(name="a"), "one")
     save(path, Model(name="b"), "two")
-    held, before = path.read_text(encoding="utf-8"), path.stat().st_mtime_ns
-    save(path, Model(name="c"), "killed")
-    path.write_text(held, encoding="utf-8")
-    os.utime(path, ns=(before, before))
+    write = model_versions._write_atomically
+
+    def killed(at: Path, text: str) -> None:
+        if at == path:
+            raise KeyboardInterrupt
+        write(at, text)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(model_versions, "_write_atomically", killed)
+        with pytest.raises(KeyboardInterrupt):
+            save(path, Model(name="c"), "killed")
+    assert [version.command for version in versions(path)] == ["one", "two", "killed"]
     assert previous(path) == 1
     undo(path)
     assert read_model(path).name == "a"
 
 
-def test_undo_after_a_file_was_put_back_by_hand(tmp_path: Path) -> None:
-    """The text is that of the version before, but younger than the last one's: no save was killed."""
-    path = tmp_path / "model.toml"
+@pytest.mark.parametrize("put_back", ["written", "copied with its time", "moved"])
+def test_undo_after_a_file_was_put_back_by_hand(tmp_path: Path, put_back: str) -> None:
+    """The text is that of the version before, but came there after the last one: no save was killed. Whatever the
+    time of its contents: `cp -p` and `mv` keep that of the copy that was made then."""
+    path, kept = tmp_path / "model.toml", tmp_path / "kept.toml"
     save(path, Model(name="a"), "one")
-    held = path.read_text(encoding="utf-8")
+    shutil.copy2(path, kept)
     save(path, Model(name="b"), "two")
-    path.write_text(held, encoding="utf-8")
-    later = path.stat().st_mtime_ns + 10**9
-    os.utime(path, ns=(later, later))
+    time.sleep(0.02)  # the clock of a file system has steps
+    if put_back == "written":
+        path.write_text(kept.read_text(encoding="utf-8"), encoding="utf-8")
+    elif put_back == "moved":
+        kept.replace(path)
+    else:
+        shutil.copy2(kept, path)
     assert previous(path) == 2
     undo(path)
     assert read_model(path).name == "b"
