@@ -47,7 +47,7 @@ Topics = Annotated[str | None, typer.Option(help="Level 5: topics to play, with 
 Start = Annotated[int | None, typer.Option(min=0, help="Level 5: first step; default 0.")]
 Paused = Annotated[bool, typer.Option("--paused", help="Level 5: wait for the space bar at once.")]
 Runs = Annotated[Path | None, typer.Option(help="Folder of runs (else LUXLOOP_RUNS, else ./runs).")]
-Router = Annotated[str | None, typer.Option(help="Endpoint of the router (else LUXLOOP_ROUTER).")]
+Router = Annotated[str | None, typer.Option(help="Levels 4, 5: endpoint of the router (else LUXLOOP_ROUTER).")]
 Json = Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")]
 Quiet = Annotated[bool, typer.Option("--quiet", help="Say nothing on stderr but errors.")]
 
@@ -78,7 +78,9 @@ def replay(
     settings = load_settings(runs=runs, router=router)
     choice = _choice(level, every, sample, best, new_seed)
     of_play = {"--rate": rate, "--topics": topics, "--start": start, "--paused": paused or None}
-    _refuse_elsewhere(level, PLAY, {name: value for name, value in of_play.items() if value is not None})
+    of_workers = {"--no-local": no_local or None, "--router": router}
+    _refuse_elsewhere(level, (PLAY,), of_play)
+    _refuse_elsewhere(level, (RE_EXECUTE, PLAY), of_workers)
     folder = find_run(run, settings.runs_dir)
     show = sys.stderr.isatty() and not (as_json or quiet)
     found = _replayed(folder, level, settings, choice, not no_local, show)
@@ -145,7 +147,7 @@ def _choice(level: int, every: bool, sample: str | None, best: bool, new_seed: b
     given = [name for name, wanted in (("--all", every), ("--sample", sample), ("--best", best)) if wanted]
     if len(given) > 1:
         raise InputError(given[1], True, f"nothing beside {given[0]}", "give one of the two")
-    _refuse_elsewhere(level, RE_EXECUTE, dict.fromkeys([*given, *["--new-seed"] * new_seed], True))
+    _refuse_elsewhere(level, (RE_EXECUTE,), dict.fromkeys([*given, *["--new-seed"] * new_seed], True))
     share = 1.0 if every else None
     if sample is not None:
         percent = re.fullmatch(r"(\d+(?:\.\d+)?) ?%", sample)
@@ -155,10 +157,12 @@ def _choice(level: int, every: bool, sample: str | None, best: bool, new_seed: b
     return Choice(share, best, new_seed)
 
 
-def _refuse_elsewhere(level: int, of: int, given: dict[str, Any]) -> None:
-    """InputError for the first option that only another level looks at."""
-    for name, value in given.items() if level != of else ():
-        raise InputError(name, value, f"level {of} only", f"add --level {of}, or leave it out")
+def _refuse_elsewhere(level: int, of: tuple[int, ...], options: dict[str, Any]) -> None:
+    """InputError for the first option that was given and that only other levels look at."""
+    which = " or ".join(map(str, of))
+    for name, value in options.items() if level not in of else ():
+        if value is not None:
+            raise InputError(name, value, f"level {which} only", f"add --level {which}, or leave it out")
 
 
 def as_text(document: dict[str, Any], found: Replay) -> list[str]:

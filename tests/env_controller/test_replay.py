@@ -131,6 +131,8 @@ def test_a_run_that_was_killed_is_replayed_as_far_as_it_goes(tmp_path: Path) -> 
         (["--level", "4", "--topics", "/step"], "--topics"),
         (["--level", "1", "--rate", "1"], "--rate"),
         (["--level", "3", "--paused"], "--paused"),
+        (["--level", "2", "--no-local"], "--no-local"),
+        (["--level", "1", "--router", "tcp/127.0.0.1:7447"], "--router"),
     ],
 )
 def test_options_that_do_not_go_together_are_refused(argv: list[str], field: str) -> None:
