@@ -2,13 +2,14 @@
 
 A write is one transaction, so a process killed in the middle of it leaves the database as it was (synchronous =
 NORMAL: a power cut may also take the last writes, which can be computed again). What is read is hashed again: an
-entry that does not match is dropped and reported as missing, and the worker computes it anew. Where pages of the file
-are damaged, what is whole is kept and the rest goes (`salvage`). One connection behind a lock: threads of one process
-may share an object; processes may share the file, a writer waits 10 s for another.
+entry that does not match is dropped and reported as missing, and the worker computes it anew. Where the file's own
+pages are damaged it is begun anew, for SQLite can neither read nor drop what lies on them. One connection behind a
+lock: threads of one process may share an object; processes may share the file, a writer waits 10 s for another.
 """
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import sqlite3
 import threading
@@ -18,7 +19,6 @@ from pathlib import Path
 from types import TracebackType
 from typing import TypeVar
 
-from containers.thin_film.salvage import is_damage, salvage
 from luxloop.errors import InputError
 
 MAX_BYTES = 1 << 30
@@ -30,12 +30,18 @@ CREATE TABLE uses (sha256 TEXT PRIMARY KEY, bytes INTEGER NOT NULL, used_unix_s 
 CREATE TABLE films (key TEXT PRIMARY KEY, sha256 TEXT NOT NULL) WITHOUT ROWID;
 CREATE INDEX films_by_blob ON films (sha256)
 """
+BYTES = "CAST(bytes AS INTEGER)"  # a damaged page may hold anything
 PAGE_BYTES = 16384
 CHECKPOINT_PAGES = 256
 WAL_BYTES = 16 << 20
 BUSY_S = 10.0
 HEX = frozenset("0123456789abcdef")
+DAMAGE = frozenset({sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB})
 T = TypeVar("T")
+
+
+class _DamageError(Exception):
+    """A page holds what was never written there."""
 
 
 class FilmDatabase:
@@ -80,9 +86,8 @@ class FilmDatabase:
 
     def close(self) -> None:
         """Write the noted uses and let go of the file."""
-        with self._lock:
+        with self._lock, contextlib.closing(self._connection):
             self._whole(self._note_last_uses)
-            self._connection.close()
 
     def __enter__(self) -> FilmDatabase:
         return self
@@ -93,20 +98,22 @@ class FilmDatabase:
         self.close()
 
     def _whole(self, act: Callable[[], T]) -> T:
-        """What `act` gives; once more where pages of the file were damaged, after what is whole has been kept."""
+        """What `act` gives; in a damaged file once more, after it was begun anew."""
         try:
             return act()
-        except sqlite3.DatabaseError as error:
-            if not is_damage(error):
+        except (_DamageError, UnicodeDecodeError, sqlite3.DatabaseError) as error:
+            if isinstance(error, sqlite3.Error) and not _is_damage(error):
                 raise
             self.corrupted += 1
-            salvage(self._connection, TABLES)
+            _begin_anew(self._connection)
             return act()
 
     def _get(self, key: str) -> tuple[str, bytes] | None:
-        found = self._connection.execute("SELECT sha256 FROM films WHERE key = ?", (key,)).fetchone()
-        packed = self._blob(found[0]) if found else None
-        return (found[0], packed) if packed is not None else None
+        found = self._connection.execute("SELECT key, sha256 FROM films WHERE key = ?", (key,)).fetchone()
+        if found and found[0] != key:  # where the tree is out of order a search may end beside what it looks for
+            raise _DamageError
+        packed = self._blob(found[1]) if found else None
+        return (found[1], packed) if packed is not None else None
 
     def _blob(self, sha256: str) -> bytes | None:
         found = self._connection.execute("SELECT packed FROM blobs WHERE sha256 = ?", (sha256,)).fetchone()
@@ -133,8 +140,8 @@ class FilmDatabase:
         return sha256
 
     def _entries(self) -> list[tuple[str, str, int]]:
-        query = "SELECT key, sha256, bytes FROM films JOIN uses USING (sha256) ORDER BY key"
-        return [(str(key), str(sha256), int(size)) for key, sha256, size in self._connection.execute(query)]
+        query = f"SELECT key, sha256, {BYTES} FROM films JOIN uses USING (sha256) ORDER BY key"  # noqa: S608  # ours
+        return [(str(key), str(sha256), size) for key, sha256, size in self._connection.execute(query)]
 
     def _drop(self, sha256: str) -> None:
         for table in ("blobs", "uses", "films"):
@@ -151,10 +158,10 @@ class FilmDatabase:
             self._note_uses(time.time())
 
     def _evict(self, keep: str) -> None:
-        (total,) = self._connection.execute("SELECT sum(bytes) FROM uses").fetchone()
+        (total,) = self._connection.execute(f"SELECT sum({BYTES}) FROM uses").fetchone()  # noqa: S608  # ours
         if total <= self._max_bytes:
             return
-        query = "SELECT sha256, bytes FROM uses WHERE sha256 != ? ORDER BY used_unix_s"
+        query = f"SELECT sha256, {BYTES} FROM uses WHERE sha256 != ? ORDER BY used_unix_s"  # noqa: S608  # ours
         for sha256, size in self._connection.execute(query, (keep,)).fetchall():
             self._drop(sha256)
             total -= size
@@ -189,10 +196,36 @@ def _connect(path: Path) -> sqlite3.Connection:
     except sqlite3.Error as error:
         connection.close()
         raise _unusable(path, error) from error
+    except UnicodeDecodeError as error:  # of SQLite's own words on what it cannot read
+        connection.close()
+        raise _unusable(path, sqlite3.DatabaseError("malformed")) from error
     except InputError:
         connection.close()
         raise
     return connection
+
+
+def _begin_anew(connection: sqlite3.Connection) -> None:
+    """Write empty tables over all that is there, in one transaction: other processes that have the file open go on.
+
+    Raises sqlite3.Error where another process writes for 10 s, or the disk fails.
+    """
+    end_s = time.monotonic() + BUSY_S
+
+    def wait(status: int, _: int, __: int) -> None:
+        if status in (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED) and time.monotonic() > end_s:
+            raise sqlite3.OperationalError("database is locked")
+
+    with contextlib.closing(sqlite3.connect(":memory:")) as empty:
+        empty.execute(f"PRAGMA page_size = {PAGE_BYTES}")
+        with empty:
+            _make_tables(empty)
+        empty.backup(connection, progress=wait)
+
+
+def _is_damage(error: sqlite3.Error) -> bool:
+    """Whether SQLite says that the file is not what it wrote; not: busy, full, gone, or a wrong query."""
+    return getattr(error, "sqlite_errorcode", 0) & 0xFF in DAMAGE
 
 
 def _text(raw: bytes) -> str:
@@ -219,11 +252,16 @@ def _make_or_check(connection: sqlite3.Connection, path: Path) -> None:
     with connection:
         connection.execute("BEGIN IMMEDIATE")
         if _is_new(connection, path):
-            for statement in TABLES.split(";"):
-                connection.execute(statement)
-            connection.execute(f"PRAGMA application_id = {APPLICATION}")
+            _make_tables(connection)
         # written also where it is so already: a read-only file is found now and not with the first table
         connection.execute(f"PRAGMA user_version = {SCHEMA}")
+
+
+def _make_tables(connection: sqlite3.Connection) -> None:
+    for statement in TABLES.split(";"):
+        connection.execute(statement)
+    connection.execute(f"PRAGMA application_id = {APPLICATION}")
+    connection.execute(f"PRAGMA user_version = {SCHEMA}")
 
 
 def _is_new(connection: sqlite3.Connection, path: Path) -> bool:
@@ -237,6 +275,9 @@ def _is_new(connection: sqlite3.Connection, path: Path) -> bool:
     if tables and schema != SCHEMA:
         mend = "it was written by another release: use that, or move it away; what it holds is computed again"
         raise InputError("film database", f"schema {schema}, {path}", f"schema {SCHEMA}", mend)
+    made = {sql.strip() for (sql,) in connection.execute("SELECT sql FROM sqlite_master WHERE sql IS NOT NULL")}
+    if tables and made != {statement.strip() for statement in TABLES.split(";")}:
+        raise _unusable(path, sqlite3.DatabaseError("malformed schema"))
     return not tables
 
 
