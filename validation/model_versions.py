@@ -79,11 +79,13 @@ def previous(path: Path) -> int:
 def _was_killed(path: Path, known: list[Version], now: str | None) -> bool:
     """Whether the last save never wrote the file: it holds the version before, and is older than the last one.
 
-    By the time at which its entry last changed: `mv` and `cp -p` put a file back with an old time of its contents.
+    By both of its times: `mv` and `cp -p` put a file back with the old one of its contents, and the one of its entry
+    changes with its owner and mode.
     """
     if [version_text(path, one.number) == now for one in known[-2:]] != [True, False]:
         return False
-    return path.stat().st_ctime_ns <= _version_file(path, known[-1].number).stat().st_ctime_ns
+    held, last = path.stat(), _version_file(path, known[-1].number).stat()
+    return held.st_mtime_ns <= last.st_mtime_ns and held.st_ctime_ns <= last.st_ctime_ns
 
 
 def undo(path: Path, command: str = "undo", to: int | None = None) -> Version:

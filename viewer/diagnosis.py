@@ -177,8 +177,12 @@ def _residuals(shot: Document, arrays: Arrays, name: str) -> Iterator[tuple[str,
 
 def _where(document: Document) -> Iterator[str]:
     rows = [(one["region"], one["shot"], one["family"], f"{one['z']:+.1f}") for one in document["structure"]["where"]]
+    caption = "The least like noise first."
+    binned = [f"{one['id']} {one['binning']}" for one in document["shots"] if (one.get("binning") or 1) > 1]
+    if binned:
+        caption += f" Rows and columns are of binned pixels: of the camera's, {', '.join(binned)} a side."
     if rows:
-        yield html.table(("where", "shot", "seen in", "sigma"), rows, "The least like noise first.", words=3)
+        yield html.table(("where", "shot", "seen in", "sigma"), rows, caption, words=3)
 
 
 def _scores(document: Document) -> Iterator[str]:

@@ -9,6 +9,7 @@ cannot be shown to belong to what lies before and is not passed off as good. It 
 
 from __future__ import annotations
 
+import errno
 import fcntl
 import shutil
 from collections.abc import Iterator
@@ -116,15 +117,22 @@ def held(path: Path) -> Iterator[bool]:
     Over a network a lock of one's own is only for files opened for writing, and another's may be told as a refusal.
     """
     with _for_writing(path) as file:
-        lock = fcntl.LOCK_EX if file.writable() else fcntl.LOCK_SH
+        yield _locked(file)
+
+
+def _locked(file: BinaryIO) -> bool:
+    """Whether this process holds the file now, or nobody can, where the file system has no locks."""
+    for lock in (fcntl.LOCK_EX, fcntl.LOCK_SH):
         try:
             fcntl.flock(file, lock | fcntl.LOCK_NB)
-            free = True
         except (BlockingIOError, PermissionError):
-            free = False
-        except OSError:  # a file system without locks
-            free = True
-        yield free
+            return False
+        except OSError as error:
+            if error.errno != errno.EBADF:
+                return True  # else the lock is for files opened for writing, which this one may not be
+        else:
+            return True
+    return True
 
 
 def _for_writing(path: Path) -> BinaryIO:

@@ -147,7 +147,7 @@ class Replayed:
                     continue
                 request = self.requests.get(named or "")
                 leaf = first_leaves(request.inputs, task.inputs) if request else (named, self._logged_id(task))
-                if request and request.version != __version__ and request.inputs.keys() != task.inputs.keys():
+                if request and request.version != __version__ and _leaves(request.inputs) != _leaves(task.inputs):
                     at.nothing(f"{kind} request", f"release {request.version} asked in other words")
                 else:
                     at.exact(f"{kind} request", *leaf)
@@ -173,6 +173,10 @@ def first_leaves(logged: dict[str, Any], now: dict[str, Any]) -> tuple[Any, Any]
     if not names:  # an empty group here, none there
         return logged, now
     return {name: ours.get(name, ABSENT) for name in names}, {name: theirs.get(name, ABSENT) for name in names}
+
+
+def _leaves(inputs: dict[str, Any]) -> set[str]:
+    return set(flat(inputs))
 
 
 def _step_of(commands: list[Command], action: Action) -> Step | None:

@@ -16,12 +16,12 @@ import typer
 from typer.testing import CliRunner
 
 from env_controller.audit import checks, mending_commands
-from env_controller.audit.recover import recover
+from env_controller.audit.recover import held, recover
 from luxloop.errors import InputError
 from luxloop.journal.chain import Mark
 from luxloop.journal.reader import RunJournal, segments_of
 from luxloop.journal.scan import Commit, Scan
-from luxloop.journal.segment import Segment
+from luxloop.journal.segment import Segment, being_written
 from luxloop.journal.topics import Record
 from tests.journals import ATTACHMENTS, METADATA, open_journal, put, records_of_step, write_run
 
@@ -316,3 +316,14 @@ def test_a_run_that_is_written_over_a_network_is_refused(
         recover(tmp_path / "run")
     journal.close()
     assert recover(tmp_path / "run").mark.records
+
+
+def test_a_run_of_read_only_segments_is_held_against_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A person who may not write them takes the lock all the same: of two only one goes on, and a writer sees it."""
+    write_run(tmp_path / "run", 1)
+    (path,) = segments_of(tmp_path / "run")
+    monkeypatch.setattr("env_controller.audit.recover._for_writing", lambda path: path.open("rb"))
+    with held(path) as first, held(path) as second:
+        assert (first, second) == (True, False)
+        assert being_written(path)
+    assert not being_written(path)

@@ -118,6 +118,9 @@ def test_undo_after_a_file_was_put_back_by_hand(tmp_path: Path, put_back: str) -
     else:
         shutil.copy2(kept, path)
     assert previous(path) == 2
+    for file in (tmp_path / ".luxloop" / "models").iterdir() if put_back == "written" else ():
+        file.chmod(0o640)  # changes the time of its entry
+    assert previous(path) == 2
     undo(path)
     assert read_model(path).name == "b"
     undo(path)

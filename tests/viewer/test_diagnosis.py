@@ -65,7 +65,7 @@ def diagnosis(**changes: Any) -> dict[str, Any]:
         "added": [], "next_measurement": candidates[0], "candidates": candidates, "known": 40,
         "limits": [{"name": "dead_chip", "parameter": "weakness", "value": 0.0123, "unit": ""}],
         "shots": [{"id": "array-0", "kind": "image", "sample": "array-0", "pixel_um": 24.0, "dbr_pairs": 2.5,
-                   "centre_px": [5.5, 5.5]}],
+                   "centre_px": [5.5, 5.5], "binning": 4, "shift_um": [0.0, 0.0]}],
         "parameters": [{"path": "environment.receiver.reflectance", "value": 0.41, "error": 0.006, "at_limit": True,
                         "prior_mean": 0.35, "prior_sd": 0.05, "with": 0.352, "with_error": 0.004}],
         "seed": 1, "versions": {"luxloop": "0.1.0"}, "not_tested": [], "held": [{"words": HELD}],
@@ -135,6 +135,7 @@ def test_the_tables_hold_the_numbers_of_the_document(whole: tuple[Parsed, str]) 
     """Size, drop, share, held-out error, evidence, the parameter that moves back, the stanza, where it comes from."""
     for told in ("edge_walls reflectance 0.281 ± 0.01 1650 97 ± 2 2.41 → 0.83 812 0.44",
                  "vignetting (implausible)", "< 1e-09", "edge array-0 field radius +31.0", "< 1/10000",
+                 "binned pixels: of the camera's, array-0 4 a side.",
                  "environment.receiver.reflectance 0.41 ± 0.006 (at its limit) 0.352 ± 0.004 0.35 ± 0.05",
                  "Not testable with these data: current_crowding", "Take an array at D = 100 um",
                  '[[samples]] id = "next"', "a" * 64, "b" * 64, COMMAND):  # fmt: skip
