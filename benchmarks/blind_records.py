@@ -40,7 +40,9 @@ def keep(run: Path, into: Path) -> int:
     for name in [f"{VERDICTS}/{one.id}.json" for one in there if record_path(into, one.id).exists()]:
         if not (run / name).exists() or (run / name).read_bytes() != (into / name).read_bytes():
             raise InputError("INTO", str(into), "a new folder, or one with records of this run", "name another")
-    others = (f"{ANSWERS}/{ASKED}", f"{ANSWERS}/{WEAK}", CHAIN, *(f"{OPENED}/{one.id}.json" for one in judged))
+    others = [CHAIN, *(f"{OPENED}/{one.id}.json" for one in judged)]
+    if len(judged) == len(index.sets):  # seed and code open all seals, those of sets without a verdict, too
+        others += [f"{ANSWERS}/{ASKED}", f"{ANSWERS}/{WEAK}"]
     names = [name for name in others if (run / name).exists()]
     for one in judged:
         names += [f"{SETS}/{one.id}/{SEAL}", f"{ANSWERS}/{one.id}.json", f"{VERDICTS}/{one.id}.json"]

@@ -132,7 +132,7 @@ def diagnose(
     judged, missing = sum(verdicts.values()), len(not_made(folder, index))
     document = {
         "folder": str(folder), "judged": judged, "before": len(index.sets) - judged - missing, "not_made": missing,
-        "verdicts": dict(verdicts.most_common()), "last_verdict": end_of(folder),
+        "verdicts": dict(verdicts.most_common()), "last_verdict": end_of(folder, index),
     }  # fmt: skip
     typer.echo(json.dumps(document) if as_json else "\n".join(told.judged(document)))
 

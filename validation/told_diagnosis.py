@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import groupby
 from typing import Any
@@ -13,6 +14,11 @@ from validation.told import binned, table, warnings
 Document = Mapping[str, Any]
 
 SCORES, CANDIDATES, NAMED, MOST_NAMES = 8, 8, 6, 8
+OPTIONS = {
+    "--model", "--free", "--histories", "--most-histories", "--seed", "--pixel-um", "--film", "--runs", "--router",
+}  # fmt: skip
+FLAGS = {"--twin", "--no-local"}
+"""Of diagnose, which add has, too: what both say of the fit."""
 LONGEST = 118
 """Characters of a line of a diff: values of many chips are long."""
 
@@ -49,8 +55,7 @@ def diagnosis(document: Document) -> Iterator[str]:
         yield from next_measurement(document)
     if document["set"] and (document["verdict"] == "one_effect" or not document["candidates"]):
         yield ""
-        twin = " --twin" if document["solver"]["method"] == "twin" else ""
-        yield f"luxloop add {document['set'][0]}{twin} puts it into {document['model']['file']}."
+        yield f"{add_command(document)} puts it into {document['model']['file']}."
     for reason in document["untestable"]:
         yield f"not testable with these data: {reason}, for what is fitted anyway does all that it does"
     by_reason: dict[str, list[str]] = {}
@@ -59,6 +64,18 @@ def diagnosis(document: Document) -> Iterator[str]:
     for reason, names in by_reason.items():
         which = ", ".join(names) if len(names) <= MOST_NAMES else f"{len(names)} effects"
         yield f"not testable with these data: {which}, because {reason}"
+
+
+def add_command(document: Document) -> str:
+    """The command that adds the effect which a verdict names, to the same model, fitted as it was for the verdict."""
+    words, kept = iter(shlex.split(document["command"])), []
+    for word in words:
+        name, is_joined = word.partition("=")[::2]
+        if name in FLAGS or (name in OPTIONS and is_joined):
+            kept.append(word)
+        elif name in OPTIONS:
+            kept += [word, next(words, "")]
+    return shlex.join(["luxloop", "add", document["set"][0], *kept])
 
 
 def _seen_above(limits: Sequence[Document]) -> Iterator[str]:

@@ -11,8 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from luxloop.errors import InputError
-
-LOCK = ".lock"
+from validation.blind_test.folders import LOCK
 
 
 @contextmanager

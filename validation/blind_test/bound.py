@@ -81,6 +81,25 @@ def check_root(folder: Path, index: Index) -> None:
             raise InputError(f"{name}: seal", found, f"the seal of {INDEX}, {sealed[:16]}...", mend)
 
 
+def gone(folder: Path, index: Index) -> list[str]:
+    """Sets that were bound, judged or opened here, and whose folders are not there any more."""
+    return [
+        one.id for one in index.sets
+        if not (folder / SETS / one.id).is_dir()
+        and (one.id in index.seals or record_path(folder, one.id).exists() or _mark(folder, one.id).exists())
+    ]  # fmt: skip
+
+
+def refuse_gone(folder: Path, index: Index) -> None:
+    """Raises InputError before a set that is on record would be made anew: its answer and salt would be lost."""
+    for name in gone(folder, index):
+        raise InputError(f"{name}: data", f"{SETS}/{name} is not there", "a set that is on record", WHOLE)
+
+
+def _mark(folder: Path, name: str) -> Path:
+    return folder / OPENED / f"{name}.json"
+
+
 def _seal(folder: Path, name: str) -> str:
     path = folder / SETS / name / SEAL
     return str(read_json(path, f"{name}: seal", "a set with a seal", "luxloop blind make writes it").get("sha256"))
@@ -106,9 +125,9 @@ class Chain:
         write_whole(folder / CHAIN, self._document())
 
     def mend(self, folder: Path) -> None:
-        """The same, where the writing was cut short after the last record."""
+        """The same, before the first record, and where the writing was cut short after the last."""
         path = folder / CHAIN
-        if self.count and (not path.exists() or read_json(path, CHAIN, "its end", WHOLE) != self._document()):
+        if not path.exists() or read_json(path, CHAIN, "its end", WHOLE) != self._document():
             self.write(folder)
 
     def _document(self) -> dict[str, Any]:
@@ -160,20 +179,20 @@ def _next(end: Chain, record: Record) -> Chain:
 def _check_end(folder: Path, chained: list[dict[str, Any]], end: Chain) -> None:
     """The last record may be one more than is said: the writing was cut short between the two."""
     path = folder / CHAIN
-    said = read_json(path, CHAIN, "where the chain ends", WHOLE) if path.exists() else {"records": 0, "last": FIRST}
+    if not chained and not path.exists():
+        return  # nothing was judged yet
+    said = read_json(path, CHAIN, "where the chain of verdicts ends", WHOLE)
     before = Chain(end.count - 1, str(chained[-1]["before"])) if chained else end
     if (said.get("records"), said.get("last")) not in ((end.count, end.last), (before.count, before.last)):
         mend = f"a verdict was taken away; {WHOLE}"
         raise InputError(CHAIN, f"{end.count} verdicts", f"{said.get('records')} verdicts", mend)
 
 
-def end_of(folder: Path) -> str | None:
-    """How many verdicts are on record, and the hash of the last; None where nothing chains them."""
-    path = folder / CHAIN
-    if not path.exists():
-        return None
-    said = read_json(path, CHAIN, "where the chain ends", WHOLE)
-    return f"{said.get('records')}, the last {said.get('last')}"
+def end_of(folder: Path, index: Index) -> str | None:
+    """How many verdicts are on record, and the hash of the last, as the records have it; None where nothing chains
+    them. Raises InputError as `chain_of` does."""
+    end = chain_of(folder, index)
+    return f"{end.count}, the last {end.last}" if end.count else None
 
 
 def check_maps(folder: Path, name: str, record: Record) -> None:
@@ -195,7 +214,7 @@ def mark_opened(folder: Path, name: str, record: Record) -> None:
     Raises InputError where it was opened before, with another verdict or another seal, and where nothing can be
     written.
     """
-    found, path = {"verdict": hash_of(record), "seal": record.get("seal")}, folder / OPENED / f"{name}.json"
+    found, path = {"verdict": hash_of(record), "seal": record.get("seal")}, _mark(folder, name)
     if path.exists():
         said = read_json(path, f"{name}: opened", "a mark of the score", WHOLE)
         if {each: said.get(each) for each in found} != found:
@@ -212,6 +231,6 @@ def mark_opened(folder: Path, name: str, record: Record) -> None:
 def refuse_opened(folder: Path, index: Index) -> None:
     """Raises InputError for a set whose seal was opened and whose verdict is gone: a new one would not count."""
     for one in index.sets:
-        if (folder / OPENED / f"{one.id}.json").exists() and not record_path(folder, one.id).exists():
+        if _mark(folder, one.id).exists() and not record_path(folder, one.id).exists():
             mend = "put back the verdict that was there, or make new sets"
             raise InputError(f"{one.id}: verdict", "none, and its seal is open", "a seal that is shut", mend)

@@ -22,6 +22,7 @@ from pydantic import Field
 
 from luxloop import __version__
 from luxloop.errors import InputError
+from luxloop.journal.segment import sync_folder
 from luxloop.model import Model
 from luxloop.model_file import find_model
 from luxloop.words import Name, Sha256, Words, parse, sha256_of
@@ -31,6 +32,7 @@ INDEX, SETS, ANSWERS, VERDICTS, SEAL = "blind.json", "sets", "answers", "verdict
 CHAIN, OPENED, MODEL = "chain.json", "opened", "model.toml"
 WEAK, ASKED = "too-weak.json", "asked.json"
 """Beside the answers: kinds that do not show as strongly as was asked; what was asked for."""
+LOCK = ".lock"
 CHANGED = f"{INDEX} was changed: put back the one that was there"
 
 
@@ -135,3 +137,15 @@ def write_whole(path: Path, data: bytes | str | Mapping[str, Any]) -> None:
         file.flush()
         os.fsync(file.fileno())
     temporary.replace(path)
+    sync_folder(path.parent)
+
+
+def move_whole(temporary: Path, to: Path) -> None:
+    """A folder of a set gets its name once all that is in it is there."""
+    temporary.rename(to)
+    sync_folder(to.parent)
+
+
+def is_empty(folder: Path) -> bool:
+    """Whether nothing lies in a folder but the lock of who works in it."""
+    return folder.is_dir() and all(one.name == LOCK for one in folder.iterdir())

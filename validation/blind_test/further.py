@@ -17,8 +17,19 @@ from luxloop.errors import InputError
 from luxloop.words import parse, sha256_of
 from validation import blind
 from validation.blind_test.alone import alone, refuse_busy
-from validation.blind_test.bound import chain_of, check_root, close
-from validation.blind_test.folders import INDEX, MODEL, SETS, Entry, Index, model_of, read_index, write_whole
+from validation.blind_test.bound import chain_of, check_root, close, refuse_gone
+from validation.blind_test.folders import (
+    INDEX,
+    MODEL,
+    SETS,
+    Entry,
+    Index,
+    is_empty,
+    model_of,
+    move_whole,
+    read_index,
+    write_whole,
+)
 from validation.blind_test.records import read_record, record_path
 from validation.blind_test.scenes import Lights, mean_of
 from validation.blind_test.seals import Answer, opened, refuse_other_entry, seal
@@ -31,6 +42,7 @@ from validation.dataset.manifest_file import to_toml as manifest_text
 from validation.dataset.simulated_images import expected_images, views_of
 from validation.dataset.simulation_plan import Plan
 from validation.diagnose.next_measurement import EXPOSURES
+from validation.diagnose.proposal import free_id
 
 
 def measure(folder: Path, out: Path, heard: Callable[[int, int, str], None] = lambda *_: None) -> Index:
@@ -44,7 +56,8 @@ def measure(folder: Path, out: Path, heard: Callable[[int, int, str], None] = la
     with alone(out, "measure", "OUT"):
         if asked.model == MODEL:
             write_whole(out / MODEL, (folder / MODEL).read_bytes())
-        write_whole(out / INDEX, asked.text())
+        if not (out / INDEX).exists():  # else it stays as it was bound until all that is new is there
+            write_whole(out / INDEX, asked.text())
         for number, one in enumerate(asked.sets):
             heard(number, len(asked.sets), one.id)
             if not (out / SETS / one.id).is_dir():
@@ -64,12 +77,15 @@ def _asked(folder: Path, out: Path) -> Index:
         raise InputError("FOLDER", str(folder), "verdicts that propose an image", mend)
     index = whole.model_copy(update={"sets": tuple(asking), "seals": {}, "root": None})
     if not (out / INDEX).exists():
+        if out.exists() and not is_empty(out):
+            raise InputError("OUT", str(out), "an empty folder, or one that is not there yet", "name another one")
         return index
     there = read_index(out)
+    refuse_gone(out, there)
     is_of_these = all(one in index.sets for one in there.sets)
     if there.model_copy(update={"sets": index.sets, "seals": {}, "root": None}) != index or not is_of_these:
         raise InputError("OUT", str(out), "an empty folder, or one that the same command began", "name another one")
-    return index.model_copy(update={"seals": there.seals, "root": there.root if there.sets == index.sets else None})
+    return index.model_copy(update={"seals": there.seals, "root": there.root})
 
 
 def _proposal(folder: Path, name: str) -> dict[str, Any] | None:
@@ -95,8 +111,9 @@ def _measure_one(folder: Path, out: Path, one: Entry, index: Index) -> None:
     temporary = out / SETS / f".{one.id}"
     shutil.rmtree(temporary, ignore_errors=True)
     shutil.copytree(dataset.folder / "images", temporary / "images")
+    name = free_id(f"further-{sample.id}", [each.id for each in dataset.manifest.shots])
     shot = ImageShot(
-        id=f"further-{sample.id}", kind="image", sample=sample.id, file=f"images/further-{sample.id}.tif",
+        id=name, kind="image", sample=sample.id, file=f"images/{name}.tif",
         exposure_ms=exposure_ms, frames_averaged=frames,
     )  # fmt: skip
     write_tiff(temporary / shot.file, image.astype(np.uint16 if frames == 1 else np.float32))
@@ -108,7 +125,7 @@ def _measure_one(folder: Path, out: Path, one: Entry, index: Index) -> None:
     changed = {"dataset_sha256": read_dataset(temporary).sha256, "follows": record["seal"]}
     seal(out, temporary, answer.model_copy(update=changed))
     write_sums(temporary)
-    temporary.rename(out / SETS / one.id)
+    move_whole(temporary, out / SETS / one.id)
 
 
 def taken(truth: Truth, dataset: Dataset, sample: Sample, answer: Answer, frames: int) -> tuple[blind.Real, float]:
@@ -116,8 +133,8 @@ def taken(truth: Truth, dataset: Dataset, sample: Sample, answer: Answer, frames
 
     Its peak is as high as that of the others. Raises InputError where the truth is not the one of the answer.
     """
-    old = dataset.manifest.images()
-    known = {"surroundings": truth.document()["surroundings"], "poses": truth.document()["poses"][:-1]}
+    old, poses = dataset.manifest.images(), len(answer.truth["poses"])  # of the set's first images
+    known = {"surroundings": truth.document()["surroundings"], "poses": truth.document()["poses"][:poses]}
     if any(answer.truth[name] != value for name, value in known.items()):
         mend = "the model that the sets were made with has changed"
         raise InputError(f"{answer.id}: answer", "another truth", "the truth that the answer names", mend)

@@ -25,6 +25,7 @@ from luxloop.model import Model
 from luxloop.model_file import find_model
 from luxloop.words import sha256_of
 from validation.blind_test.bound import Chain, chain_of, refuse_opened
+from validation.blind_test.code import code_sha256
 from validation.blind_test.folders import SCHEMA, SETS, Entry, Index, hash_of_fit, model_of, write_whole
 from validation.blind_test.records import maps_path, record_path
 from validation.blind_test.seals import seal_on
@@ -179,7 +180,7 @@ class Judge:
             "schema": SCHEMA, "id": one.id, "light": one.light, "seal": sealed, "dataset_sha256": dataset.sha256,
             "model_sha256": self.model.sha256, "priors": one.priors, "fit_sha256": hash_of_fit(model),
             "solver": self.solver.document(), "among": list(self.among), "version": __version__,
-            "seconds": time.monotonic() - start, "first_of_light": first,
+            "code_sha256": code_sha256(), "seconds": time.monotonic() - start, "first_of_light": first,
             **{name: told[name] for name in KEPT},
         }  # fmt: skip
         if first or record["verdict"] != "nothing_visible":

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from luxloop.errors import InputError
 from validation.blind_test.folders import ANSWERS, WEAK, read_json, write_whole
 
 
@@ -48,7 +49,12 @@ def _read(folder: Path) -> dict[str, dict[str, Any]]:
     found = read_json(path, WEAK, "sigma by kind, by truth", "remove it") if path.exists() else {}
     by_truth = {name: one for name, one in found.items() if isinstance(one, dict)}
     older = {name: one for name, one in found.items() if not isinstance(one, dict)}
-    return by_truth | ({"all": older} if older else {})
+    by_truth |= {"all": older} if older else {}
+    for kinds in by_truth.values():
+        for kind, sigma in kinds.items():
+            if not (sigma is None or (isinstance(sigma, int | float) and not isinstance(sigma, bool))):
+                raise InputError(f"{WEAK}: {kind}", sigma, "its sigma at its most, or null", "put the file back")
+    return by_truth
 
 
 def _name(truth: int) -> str:

@@ -20,10 +20,9 @@ import numpy as np
 from luxloop.errors import InputError
 from luxloop.model import Model
 from luxloop.model_file import SHIPPED, find_model, to_toml
-from luxloop.words import sha256_of
+from luxloop.words import parse, sha256_of
 from validation import blind
-from validation.blind_test.alone import LOCK
-from validation.blind_test.bound import close
+from validation.blind_test.bound import close, refuse_gone
 from validation.blind_test.folders import (
     ANSWERS,
     ASKED,
@@ -33,6 +32,8 @@ from validation.blind_test.folders import (
     Entry,
     Index,
     hash_of_fit,
+    is_empty,
+    move_whole,
     read_index,
     read_json,
     write_whole,
@@ -181,7 +182,7 @@ def _make_one(asked: Asked, scene: Scene, one: Planned, kinds: Kinds) -> None:
     )  # fmt: skip
     seal(asked.folder, temporary, answer)
     write_sums(temporary)
-    temporary.rename(asked.folder / SETS / one.id)
+    move_whole(temporary, asked.folder / SETS / one.id)
 
 
 def _hidden(
@@ -219,7 +220,10 @@ def seed_of(folder: Path, seed: int | None) -> int:
         return seed
     path = folder / ANSWERS / ASKED
     if path.exists():
-        return int(read_json(path, ASKED, "what was asked for", "name another folder")["seed"])
+        found = read_json(path, ASKED, "what was asked for", "name another folder").get("seed")
+        if not isinstance(found, int):
+            raise InputError(f"{ASKED}: seed", found, "a whole number", "put the file back, or name another folder")
+        return found
     return secrets.randbelow(MOST_SEED)
 
 
@@ -232,11 +236,12 @@ def _index(asked: Asked, plan: Sequence[Planned]) -> Index:
     path = asked.folder / ANSWERS / ASKED
     if path.exists():
         there = read_index(asked.folder) if (asked.folder / INDEX).exists() else index
+        refuse_gone(asked.folder, there)
         index = index.model_copy(update={"seals": there.seals, "root": there.root})
         if there != index or read_json(path, ASKED, "what was asked for", "name another folder") != asked.document():
             mend = "the same command goes on with its sets; take another folder for others"
             raise InputError("FOLDER", str(asked.folder), "an empty folder, or one that the same command began", mend)
-    elif asked.folder.exists() and not _is_empty(asked.folder):
+    elif asked.folder.exists() and not is_empty(asked.folder):
         raise InputError("FOLDER", str(asked.folder), "an empty folder, or one that is not there yet", "name another")
     return index
 
@@ -245,13 +250,10 @@ def _entry(one: Planned, truth: Truth) -> Entry:
     return Entry(id=one.id, light=one.light, priors=priors_of(truth, one.seed))
 
 
-def _is_empty(folder: Path) -> bool:
-    return folder.is_dir() and all(one.name == LOCK for one in folder.iterdir())
-
-
 def _answers(folder: Path) -> Iterator[Answer]:
     for path in sorted((folder / ANSWERS).glob("set-*.json")):
-        yield Answer.model_validate(read_json(path, path.name, "an answer", "make the sets anew")["answer"])
+        data = read_json(path, path.name, "an answer", "make the sets anew")
+        yield parse(Answer, data.get("answer"), f"{path.parent.name}/{path.name}")
 
 
 def _kinds(asked: Asked) -> Kinds:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from luxloop import __version__
 from luxloop.errors import InputError
-from validation.blind_test.bound import end_of
+from validation.blind_test.bound import end_of, gone
 from validation.blind_test.folders import read_index
 from validation.blind_test.groups import GROUPS, group_of
 from validation.blind_test.judged_by import judged_by
@@ -36,7 +36,10 @@ def score(folders: Sequence[Path]) -> dict[str, Any]:
         "further": len(sets) - len(first),
         "without_verdict": sum(len(read_index(folder).sets) for folder in folders) - len(sets),
         "roots": {str(folder): read_index(folder).root for folder in folders},
-        "last_verdicts": {str(folder): end_of(folder) for folder in folders},
+        "last_verdicts": {str(folder): end_of(folder, read_index(folder)) for folder in folders},
+        "gone": {str(folder): gone(folder, read_index(folder)) for folder in folders},
+        "codes": sorted({str(code) for one in sets if (code := one.record.get("code_sha256"))}),
+        "without_code": sum(not one.record.get("code_sha256") for one in sets),
         "not_checked": sum(not one.is_checked for one in sets),
         "sentence": sentence(rows, len(first), said_by(by)),
         "by": by,

@@ -88,7 +88,7 @@ def table(sets: Sequence[Marked]) -> list[Row]:
     two = [each for each in sets if each.is_two]
     pulls = [each.size_pull for each in one if each.size_pull is not None]
     falls = [each.held_out[0] for each in one if each.held_out[0] is not None]
-    further = [later.get(each.record["seal"], each) for each in apart if later and not _is_open(each, later)]
+    further = [_last(each, later) for each in apart if later and not _is_open(each, later)]
     others = [any(each.held_out[1]) for each in one if each.held_out[1]]
     return [
         alarms([each for each in sets if each.is_nothing]),
@@ -175,6 +175,13 @@ def _counted(quantity: str, hits: Sequence[bool], least: float | None, most: flo
         return Row(quantity, target, 0, 0, None, None, None, least, most)
     count = sum(hits)
     return Row(quantity, target, count, len(hits), count / len(hits), *interval(count, len(hits)), least, most)
+
+
+def _last(one: Marked, later: Mapping[str, Marked]) -> Marked:
+    """The set with the last image that its verdicts proposed."""
+    while one.record["seal"] in later:
+        one = later[one.record["seal"]]
+    return one
 
 
 def _is_open(one: Marked, later: Mapping[str, Marked]) -> bool:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from validation.told import table
 
 Document = Mapping[str, Any]
 
+FEW = 8
 MISSES = 20
 """Told of all; the page has the others."""
 
@@ -48,6 +49,8 @@ def scored(document: Document) -> Iterator[str]:
         yield further(document["further"])
     if document["without_verdict"]:
         yield f"{document['without_verdict']} more that were asked for have no verdict: not made, or not judged."
+    yield from (taken_away(folder, names) for folder, names in document["gone"].items() if names)
+    yield from codes(document)
     yield from roots(document["roots"])
     yield from (f"verdicts of {name}: {end}" for name, end in document["last_verdicts"].items() if end)
     if document["not_checked"]:
@@ -67,6 +70,21 @@ def scored(document: Document) -> Iterator[str]:
                         ("to diagnose another one of its light", "diagnosed_again")):  # fmt: skip
         if spread := document["seconds"][name]:
             yield f"{words}: {spread['median']:.0f} s (median of {spread['sets']}), at most {spread['most']:.0f} s"
+
+
+def taken_away(folder: str, names: Sequence[str]) -> str:
+    """Sets that were bound in a folder and are not there."""
+    which = ", ".join(names) if len(names) <= FEW else f"{', '.join(names[:FEW])} and {len(names) - FEW} more"
+    return f"Bound by the root of {folder}, and not there: {which}."
+
+
+def codes(document: Document) -> Iterator[str]:
+    """By how many states of the sources verdicts were given, where that is not one."""
+    known, unknown = len(document["codes"]), document["without_code"]
+    if known > 1 or (known and unknown):
+        yield f"UNLIKE verdicts: given by {known + bool(unknown)} states of luxloop's sources."
+    if unknown:
+        yield f"{unknown} records are of before such a state was put down."
 
 
 def further(sets: int) -> str:

@@ -65,6 +65,7 @@ class Rivals:
         now = _separation([here], prior_sd, usable)
         found = []
         samples = [image.sample for image in self.fit.problem.images]
+        shots = (*(one.shot.id for one in self.fit.problem.images), *(one.id for one in self.fit.problem.curves))
         candidates = list(candidates_of(samples))
         for number, (words, sample, exposure) in enumerate(candidates):
             heard(number / len(candidates), words)
@@ -78,7 +79,7 @@ class Rivals:
                     raise
                 continue
             sigma = _separation(rows, prior_sd, usable)
-            found.append(Proposal(words, sample, exposure, sigma, now, sample in samples))
+            found.append(Proposal(words, sample, exposure, sigma, now, sample in samples, shots))
         return sorted(found, key=lambda one: -one.expected_sigma)
 
     @property

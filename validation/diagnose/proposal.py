@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,14 +24,28 @@ class Proposal:
     now_sigma: float
     is_there: bool = False
     """Whether the sample is one of those that were measured."""
+    taken: tuple[str, ...] = ()
+    """Ids of the shots that there are."""
 
     def document(self) -> dict[str, Any]:
         """As plain values, with the stanza for the manifest."""
         return {
             "words": self.words, "sample": self.sample.model_dump(mode="json", exclude_defaults=True),
             "exposure_ratio": self.exposure_ratio, "expected_sigma": self.expected_sigma,
-            "now_sigma": self.now_sigma, "stanza": stanza(self.sample, self.is_there, self.exposure_ratio),
+            "now_sigma": self.now_sigma, "stanza": self._stanza(),
         }  # fmt: skip
+
+    def _stanza(self) -> str:
+        """What to fill into dataset.toml once the image is taken; of a sample that is there, only a shot more."""
+        sample, lines = self.sample, []
+        if not self.is_there:
+            lines = ["[[samples]]", *_as_toml(sample), ""]
+        shot = free_id(f"further-{sample.id}" if self.is_there else sample.id, self.taken)
+        exposure = "exposure_ms = 0.0  # fill in"
+        if (ratio := self.exposure_ratio) != 1.0:
+            exposure += f": {ratio:g} times that of {sample.id}, or frames_averaged = {ratio:g}"
+        lines += ["[[shots]]", f'id = "{shot}"', 'kind = "image"', f'sample = "{sample.id}"']
+        return "\n".join([*lines, f'file = "images/{shot}.tif"', exposure, ""])
 
 
 def next_in_words(proposals: Sequence[Proposal], left_out: Sequence[str] = (), *, images: bool = True) -> str:
@@ -58,16 +72,9 @@ def chip_by_chip(names: Sequence[str]) -> str:
     return f"{', '.join(names)} {has} for each chip."
 
 
-def stanza(sample: Sample, is_there: bool, exposure_ratio: float = 1.0) -> str:
-    """What to fill into dataset.toml once the image is taken; of a sample that `is_there`, only a shot more."""
-    lines, shot = [], f"further-{sample.id}" if is_there else sample.id
-    if not is_there:
-        lines = ["[[samples]]", *_as_toml(sample), ""]
-    exposure = "exposure_ms = 0.0  # fill in"
-    if exposure_ratio != 1.0:
-        exposure += f": {exposure_ratio:g} times that of {sample.id}, or frames_averaged = {exposure_ratio:g}"
-    lines += ["[[shots]]", f'id = "{shot}"', 'kind = "image"', f'sample = "{sample.id}"']
-    return "\n".join([*lines, f'file = "images/{shot}.tif"', exposure, ""])
+def free_id(name: str, taken: Collection[str]) -> str:
+    """A name that no shot has yet: the name itself, or with the first number that is free."""
+    return next(one for one in (name, *(f"{name}-{n}" for n in range(2, len(taken) + 3))) if one not in taken)
 
 
 def _as_toml(sample: Sample) -> Iterator[str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,8 +14,18 @@ from luxloop.errors import InputError
 from luxloop.words import sha256_of
 from tests.validation.blind_test.pretend import answer, bound_folder_of, change, folder_of, hiding, record
 from validation.blind_test import told
-from validation.blind_test.bound import Chain, chain_of, close, refuse_opened
-from validation.blind_test.folders import ANSWERS, ASKED, CHAIN, INDEX, OPENED, VERDICTS, read_index, write_whole
+from validation.blind_test.bound import Chain, chain_of, close, gone, refuse_gone, refuse_opened
+from validation.blind_test.folders import (
+    ANSWERS,
+    ASKED,
+    CHAIN,
+    INDEX,
+    OPENED,
+    SETS,
+    VERDICTS,
+    read_index,
+    write_whole,
+)
 from validation.blind_test.scoring import score
 
 NAMES = ("set-1", "set-2", "set-3")
@@ -164,8 +175,9 @@ def test_a_verdict_made_after_its_seal_was_opened_is_refused(make: Callable[...,
     index = read_index(folder).model_copy(update={"seals": {}, "root": None})
     write_whole(folder / INDEX, index.text())
     data = json.loads((folder / VERDICTS / "set-1.json").read_text())
-    write_whole(folder / VERDICTS / "set-1.json", Chain().added(data))
-    (folder / CHAIN).unlink(missing_ok=True)
+    placed = Chain().added(data)
+    write_whole(folder / VERDICTS / "set-1.json", placed)
+    Chain(1, placed["sha256"]).write(folder)
     with pytest.raises(InputError, match="its seal was opened before this verdict was made"):
         score([folder])
 
@@ -174,3 +186,62 @@ def test_a_folder_without_a_root_is_said(tmp_path: Path) -> None:
     """Of an older luxloop, or not all sets are made."""
     folder = folder_of(tmp_path, (answer("set-1", hiding("vignetting")), record("one_effect", "vignetting")))
     assert any("a set taken away would not be found" in line for line in told.scored(score([folder])))
+
+
+def test_verdicts_that_go_with_the_end_of_their_chain_are_found(folder: Path) -> None:
+    """One that is left is the first of its chain; before the first verdict the chain's end is there already."""
+    for name in NAMES[1:]:
+        (folder / VERDICTS / f"{name}.json").unlink()
+    (folder / CHAIN).unlink()
+    with pytest.raises(InputError, match=r"chain.json is not there.*verdicts taken away"):
+        score([folder])
+
+
+def test_the_end_that_is_told_is_that_of_the_records(folder: Path) -> None:
+    """Killed between a record and the chain's end, which is one behind then: the record counts, and is the last."""
+    last = json.loads((folder / VERDICTS / "set-3.json").read_text())
+    change(folder / CHAIN, records=2, last=last["before"])
+    assert score([folder])["last_verdicts"] == {str(folder): f"3, the last {last['sha256']}"}
+
+
+def test_a_set_that_was_bound_and_is_not_there_is_told(folder: Path) -> None:
+    """Without a verdict it could be one that nobody has judged yet: it is named."""
+    shutil.rmtree(folder / SETS / "set-4")
+    (folder / ANSWERS / "set-4.json").unlink()
+    found = score([folder])
+    assert found["gone"] == {str(folder): ["set-4"]}
+    assert f"Bound by the root of {folder}, and not there: set-4." in list(told.scored(found))
+
+
+def test_a_set_on_record_that_is_gone_is_not_made_anew(folder: Path) -> None:
+    """Bound, judged, or opened: its answer and salt would be written over, and no score could count it again."""
+    index = read_index(folder)
+    refuse_gone(folder, index)
+    loose = index.model_copy(update={"seals": {}, "root": None})
+    shutil.rmtree(folder / SETS / "set-1")
+    shutil.rmtree(folder / SETS / "set-4")
+    assert gone(folder, index) == ["set-1", "set-4"]
+    assert gone(folder, loose) == ["set-1"]  # the other may have been cut short in its making
+    for one in (index, loose):
+        with pytest.raises(
+            InputError, match=r"set-1: data: got 'sets/set-1 is not there'.*take the folder as it was"
+        ):
+            refuse_gone(folder, one)
+
+
+def test_verdicts_of_several_states_of_the_sources_are_told(tmp_path: Path) -> None:
+    """A version stays what it is over many changes; records of before do not say."""
+    codes = ("a" * 64, "b" * 64, None)
+    folders = [
+        bound_folder_of(
+            tmp_path / f"{number}",
+            (answer(f"set-{number}", hiding("vignetting")), record("one_effect", "vignetting", code_sha256=code)),
+        )
+        for number, code in enumerate(codes)
+    ]
+    assert not any("states" in line for line in told.scored(score(folders[:1])))
+    lines = list(told.scored(score(folders[:2])))
+    assert "UNLIKE verdicts: given by 2 states of luxloop's sources." in lines
+    lines = list(told.scored(score(folders)))
+    assert "UNLIKE verdicts: given by 3 states of luxloop's sources." in lines
+    assert "1 records are of before such a state was put down." in lines

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +15,8 @@ from luxloop.model_file import find_model
 from luxloop.words import sha256_of
 from tests.validation.blind_test.pretend import answer, bound_folder_of, chained, change, hiding, record
 from tests.validation.blind_test.test_blind_command import HISTORIES, PIXELS, PLAN
+from validation.blind_test import further as further_module
 from validation.blind_test.alone import alone
-from validation.blind_test.bound import Chain
 from validation.blind_test.folders import (
     ANSWERS,
     INDEX,
@@ -130,7 +131,8 @@ def test_the_truth_is_about_a_model_of_ones_own(tmp_path: Path) -> None:
     asks = {"sample": plan.samples[1].model_dump(mode="json", exclude_defaults=True)}
     said = record("cannot_tell_apart", "vignetting", seal=sealed, dataset_sha256=data, next_measurement=asks,
                   fit_sha256=hash_of_fit(index.sets[0].known_before(model)))  # fmt: skip
-    write_whole(asked.folder / VERDICTS / "set-1.json", Chain().added(said))
+    write_whole(asked.folder / VERDICTS / "set-1.json", said)
+    chained(asked.folder, ["set-1"])
     further = measure(asked.folder, tmp_path / "further")
     assert model_of(tmp_path / "further", further) == model
 
@@ -176,3 +178,50 @@ def test_it_goes_on_and_refuses_other_sets(folder: Path, tmp_path: Path) -> None
     path.write_text(json.dumps(data))
     with pytest.raises(InputError, match="changed after it was sealed"):
         measure(folder, tmp_path / "other")
+
+
+def test_a_verdict_on_a_further_set_may_ask_for_one_more(folder: Path, tmp_path: Path) -> None:
+    """The same truth, an image more, of a name that no shot has: it follows the set that asked for it."""
+    first, second = tmp_path / "first", tmp_path / "second"
+    measure(folder, first)
+    before = read_record(folder, "set-2")
+    sealed = json.loads((first / SETS / "set-2" / "seal.json").read_text())["sha256"]
+    asks = before | {"seal": sealed, "dataset_sha256": read_dataset(first / SETS / "set-2").sha256}
+    write_whole(first / VERDICTS / "set-2.json", asks)
+    chained(first, ["set-2"])
+    assert [one.id for one in measure(first, second).sets] == ["set-2"]
+    manifest = read_dataset(second / SETS / "set-2").manifest
+    assert [shot.id for shot in manifest.shots[2:]] == ["further-mirror", "further-mirror-2"]
+    again = json.loads((second / ANSWERS / "set-2.json").read_text())["answer"]
+    assert again["follows"] == sealed
+
+
+def test_what_is_there_is_neither_mixed_nor_unbound(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another's folder is refused; killed while it grows, OUT is bound as it was, and the next time goes on."""
+    other = tmp_path / "photos"
+    other.mkdir()
+    (other / "mine.txt").write_text("mine")
+    with pytest.raises(InputError, match=r"OUT: got .*an empty folder"):
+        measure(folder, other)
+    out = tmp_path / "out"
+    bound = measure(folder, out)
+    said = json.loads((folder / VERDICTS / "set-2.json").read_text())["next_measurement"]
+    change(folder / VERDICTS / "set-3.json", next_measurement=said)
+    chained(folder, ("set-1", "set-2", "set-3"))
+    for name in ("set-1", "set-2"):
+        (folder / "opened" / f"{name}.json").unlink()  # the chain was written anew
+
+    def killed(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(further_module, "taken", killed)
+        with pytest.raises(KeyboardInterrupt):
+            measure(folder, out)
+    assert read_index(out) == bound
+    assert len(measure(folder, out).sets) == 3
+    shutil.rmtree(out / SETS / "set-1")
+    with pytest.raises(InputError, match=r"set-1: data: .* a set that is on record"):
+        measure(folder, out)

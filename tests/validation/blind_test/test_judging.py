@@ -13,8 +13,10 @@ from luxloop.errors import InputError
 from luxloop.model_file import find_model
 from tests.validation.analytic import HALO, MODEL, PATHS, SIGMA, Spots, two_images
 from tests.validation.blind_test.pretend import answer, bound_folder_of, folder_of, record
+from validation.blind_test import code as code_module
 from validation.blind_test import judging, told
 from validation.blind_test.bound import Chain, close
+from validation.blind_test.code import PACKAGES, code_sha256
 from validation.blind_test.folders import CHAIN, SETS, Entry, read_index, write_whole
 from validation.blind_test.judging import KEPT, Judge, Shared, SharedDiagnosing, SharedSolver, not_made, seed_of_light
 from validation.blind_test.records import read_record, record_path
@@ -25,6 +27,23 @@ from validation.diagnose.ground import Ground
 from validation.diagnosing import Diagnosing
 from validation.observed import Observed
 from validation.prediction import Anchored
+
+
+def test_a_state_of_the_sources_is_all_of_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Names and bytes of three packages: a change in any, or another name, is another state."""
+    for package in PACKAGES:
+        (tmp_path / package / "inside").mkdir(parents=True)
+        (tmp_path / package / "inside" / "light.py").write_text("x = 1\n")
+    found = {package: SimpleNamespace(submodule_search_locations=[str(tmp_path / package)]) for package in PACKAGES}
+    monkeypatch.setattr(code_module, "find_spec", found.get)
+    states = {code_sha256.__wrapped__(), code_sha256.__wrapped__()}
+    assert len(states) == 1
+    for package in PACKAGES:
+        (tmp_path / package / "inside" / "light.py").write_text("x = 2\n")
+        states.add(code_sha256.__wrapped__())
+    (tmp_path / "luxloop" / "inside" / "light.py").rename(tmp_path / "luxloop" / "light.py")
+    assert len(states | {code_sha256.__wrapped__()}) == 1 + len(PACKAGES) + 1
+
 
 PAPER = find_model("paper")
 MOVED = PAPER.with_value("environment.receiver.reflectance", 0.3)
@@ -172,6 +191,7 @@ def test_a_light_is_judged_by_random_numbers_of_its_own(tmp_path: Path, monkeypa
         by_seed[seed] = [one["seed"] for one in records]
         assert [one["priors"] for one in records] == [own] * 3
         assert [one["solver"]["seed"] for one in records] == [seed] * 3
+        assert {one["code_sha256"] for one in records} == {code_sha256()}
     assert asked == [(6.5, seed) for seeds in by_seed.values() for seed in seeds]
     assert by_seed[1][0] == by_seed[1][1] == seed_of_light(1, "of-a")
     assert len({*by_seed[1], *by_seed[2]}) == 4

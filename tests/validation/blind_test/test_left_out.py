@@ -10,7 +10,7 @@ import pytest
 
 from luxloop.errors import InputError
 from validation.blind_test import making, told
-from validation.blind_test.folders import ANSWERS, WEAK, write_whole
+from validation.blind_test.folders import ANSWERS, ASKED, WEAK, write_whole
 from validation.blind_test.left_out import leave_out, left_out, no_amounts, weak_kinds
 from validation.blind_test.strength import NoAmount, NotReached
 from validation.blind_test.truths import Kinds, Planned
@@ -67,3 +67,22 @@ def test_the_least_of_all_truths_is_told(tmp_path: Path) -> None:
     leave_out(tmp_path, 0, {"dust": 6.0, "hair": 3.0})
     leave_out(tmp_path, 1, {"hair": 2.0})
     assert weak_kinds(tmp_path) == {"dust": 4.0, "hair": 2.0}
+
+
+@pytest.mark.parametrize("damaged", [{"truth-1": {"dust": "weak"}}, {"dust": [4.0]}, {"truth-1": {"dust": True}}])
+def test_a_list_that_was_damaged_is_named(tmp_path: Path, damaged: dict[str, Any]) -> None:
+    """By `make` as by the score."""
+    write_whole(tmp_path / ANSWERS / WEAK, damaged)
+    with pytest.raises(InputError, match=r"too-weak\.json: dust: .*put the file back"):
+        weak_kinds(tmp_path)
+
+
+def test_what_was_asked_for_and_answers_that_were_damaged_are_named(tmp_path: Path) -> None:
+    """No traceback: the file, and the mend."""
+    write_whole(tmp_path / ANSWERS / ASKED, {"seed": "x"})
+    with pytest.raises(InputError, match=r"asked\.json: seed: got 'x'"):
+        making.seed_of(tmp_path, None)
+    for damaged in ({}, {"answer": {"id": "set-1"}}):
+        write_whole(tmp_path / ANSWERS / "set-1.json", damaged)
+        with pytest.raises(InputError, match=r"answers/set-1\.json"):
+            list(making._answers(tmp_path))

@@ -329,12 +329,26 @@ def test_what_a_dropped_round_would_have_asked_for_is_not_told() -> None:
     assert "7.1 +- 0.4 %" in told_diagnosis._effect(row)
     held = "But films.a.layers.0.thickness_nm is held at 28.76."
     facts = {"model": {"file": "model.toml"}, "solver": {"method": "anchored"}, "not_tested": []}
-    facts |= {"held": [{"words": held}]}
+    facts |= {"command": "luxloop diagnose data --among fog,stripes", "held": [{"words": held}]}
     adding = "luxloop add stripes puts it into model.toml."
     for steps, adds, asks in (((named,), 1, False), ((named, asking), 1, True), ((asking,), 0, True)):
         lines = list(told_diagnosis.diagnosis(document(Diagnosis(steps, 6), 1) | facts))
         assert lines[2] == held  # under the verdict
         assert (lines.count(adding), any(ANOTHER.words in line for line in lines)) == (adds, asks)
+
+
+def test_the_command_that_adds_an_effect_is_that_of_the_verdict() -> None:
+    """The same model, film, parameters and solver; not what is of the diagnosis alone, or where it was written to."""
+    for asked, adds in {
+        "luxloop diagnose data": "luxloop add fog",
+        "luxloop diagnose data --model 'my wafer.toml' --film=known --free a,b --page p.html --among fog,haze --json":
+            "luxloop add fog --model 'my wafer.toml' --film=known --free a,b",
+        "luxloop diagnose --twin data --seed 3 --pixel-um 20 --router tcp/127.0.0.1:1 --no-local --quiet":
+            "luxloop add fog --twin --seed 3 --pixel-um 20 --router tcp/127.0.0.1:1 --no-local",
+        "luxloop diagnose d --histories 4000000 --most-histories 8000000 --runs r":
+            "luxloop add fog --histories 4000000 --most-histories 8000000 --runs r",
+    }.items():  # fmt: skip
+        assert told_diagnosis.add_command({"command": asked, "set": ["fog", "haze"]}) == adds
 
 
 def test_an_effect_of_the_model_is_not_tried_again() -> None:

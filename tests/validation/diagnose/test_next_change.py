@@ -186,6 +186,18 @@ def test_rivals_without_a_size_of_their_own_are_said_to_be_left_out() -> None:
     assert told.endswith("That is of the others: chips, places have numbers of their own for each chip.")
 
 
+def test_a_shot_that_is_proposed_has_a_name_of_its_own() -> None:
+    """Of a sample that is there, the second time, too: a data set has each id once, and each file."""
+    asks = Proposal("again", SINGLE_CHIP, 4.0, 12.0, 1.3, is_there=True)
+    first = f"further-{SINGLE_CHIP.id}"
+    for taken, name in (((), first), ((first,), f"{first}-2"), ((first, f"{first}-2"), f"{first}-3")):
+        told = replace(asks, taken=taken).document()["stanza"]
+        assert f'id = "{name}"' in told
+        assert f'file = "images/{name}.tif"' in told
+    new = replace(asks, is_there=False, taken=(SINGLE_CHIP.id,)).document()["stanza"]
+    assert f'[[shots]]\nid = "{SINGLE_CHIP.id}-2"' in new
+
+
 @pytest.mark.parametrize("films", [1, 2])
 def test_an_image_is_not_proposed_where_no_two_rivals_show_in_one(films: int) -> None:
     """Effects of films change no pixel: after a sweep of candidates 0 sigma were expected of the best image."""
