@@ -7,6 +7,7 @@ lane 0 is told, then of lane 1, and so on, while the other lanes' designs are un
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Protocol
@@ -71,6 +72,7 @@ class Runner:
         self.digests = [NOTHING_TOLD] * lanes
         """Of each lane's steps so far, in their order."""
         self.progress = Progress(before_s=self._past.wall_s)
+        self.failures: Counter[str] = Counter()  # why steps of this start failed
 
     def state(self) -> Checkpoint:
         """All that runner and designer are, between two turns."""
@@ -178,6 +180,7 @@ class Runner:
         seen.steps, seen.last, seen.epsilon = seen.steps + 1, step, proposal.record.epsilon
         seen.evaluations, seen.physics_s = self.designer.known.evaluations, seen.physics_s + step.physics_s
         seen.episodes = max(seen.episodes, proposal.record.episode + 1)
+        self._count_failure(step)
         if step.failure is None and step.feasible:
             seen.first = seen.first or step
             if seen.best is None or step.uniformity > seen.best.uniformity:
@@ -185,6 +188,10 @@ class Runner:
             if seen.gained is None or _gain(step, seen.gained) > SIGMAS * _error(step, seen.gained):
                 seen.gained, seen.gained_episode = step, seen.episodes
         self._look(seen)
+
+    def _count_failure(self, step: Step) -> None:
+        if step.failure is not None:
+            self.failures[step.failure.text()] += 1
 
     def _reason(self) -> str:
         """Why to stop now; empty to go on. What was decided before is decided again."""
@@ -249,6 +256,7 @@ class Runner:
                 step = future.result()
                 self.progress.physics_s += step.physics_s
                 self.progress.last = step
+                self._count_failure(step)
                 self._look(self.progress)
                 steps.append(step)
         return steps

@@ -8,7 +8,7 @@ from typing import Any, Literal
 from pydantic import Field, model_validator
 
 from agent.ddqn import Learning
-from agent.designers import NAMES, SEARCHES, learning_of
+from agent.designers import NAMES, SEARCHES, WITHOUT_START, learning_of
 from luxloop.campaign import Fidelity, Plan, Reward
 from luxloop.design import Bounds, Design
 from luxloop.errors import InputError
@@ -128,7 +128,10 @@ def read_campaign(path: Path | None, *, compared: bool = False, **given: Any) ->
         if value is not None:
             part, _, field = name.partition("__")
             if field:
-                plain[part] = {**plain.get(part, {}), field: value}
+                table = plain.get(part, {})
+                if not isinstance(table, dict):
+                    raise InputError(f"{path}: {part}", table, "a table", f"write it under [{part}]")
+                plain[part] = {**table, field: value}
             else:
                 plain[name] = value
     if isinstance(plain.get("bounds"), str):
@@ -159,6 +162,9 @@ def _refuse_idle(campaign: Campaign, where: str, compared: bool) -> None:
     if idle in campaign.model_fields_set:
         mend = f"leave it out: {acting} says how exact this walk is"
         raise InputError(f"{where}: {idle}", getattr(campaign, idle), f'with method = "{method}" only', mend)
+    if campaign.start is not None and campaign.designer in WITHOUT_START and not compared:
+        mend = "leave it out: it looks everywhere, in an order of its own"
+        raise InputError(f"{where}: start", str(campaign.start), "with pattern or a learner (ddqn-...) only", mend)
     quiet = campaign.stop.episodes_without_gain
     if quiet is not None and campaign.designer in SEARCHES and not compared:
         mend = f"leave it out: {campaign.designer} has no episodes"

@@ -12,6 +12,7 @@ from luxloop.design import Design
 from luxloop.errors import InputError
 
 SEARCHES: dict[str, Callable[..., Designer]] = {"random": RandomSearch, "pattern": PatternSearch, "grid": GridSearch}
+WITHOUT_START = tuple(name for name in SEARCHES if name != "pattern")
 NAMES = (*(f"ddqn-{profile}{end}" for profile in PRESETS for end in ("", "-random")), *SEARCHES)
 
 
@@ -38,7 +39,7 @@ def designer(
     Raises InputError where nobody has the name.
     """
     if name in SEARCHES:
-        options = {"start": start} if name == "pattern" else {}
+        options = {} if name in WITHOUT_START else {"start": start}
         return SEARCHES[name](space, seed=seed, lanes=lanes, **options)
     settings = learning or learning_of(name)
     return DoubleDqn(space, settings.model_copy(update={"start": start or settings.start}), seed=seed, lanes=lanes)

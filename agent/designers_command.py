@@ -90,11 +90,15 @@ def compare(
     show = sys.stderr.isatty() and not (as_json or quiet)
     begun = f"{datetime.now(UTC):%Y%m%d-%H%M%S}"
     with running_set(settings, local=not no_local) as shared:
+        ended: list[str] = []
 
         def run(one: Campaign, name: str) -> tuple[Found, Any]:
             launched = launch(shared, one, model, f"{begun}-{name}", local=False, show=show)
             if launched.interrupted:
+                runs = ", ".join(ended) or "none"
+                warn(f"interrupted: a comparison cannot be gone on with. Runs that ended: {runs} (campaign report)")
                 raise KeyboardInterrupt
+            ended.append(launched.run)
             return launched.found, launched.walk
 
         table = rows(compared(campaign, names, range(1, seeds + 1), run))

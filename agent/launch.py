@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import distributions, entry_points
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Literal
 
@@ -23,15 +24,16 @@ from agent.designers import designer
 from agent.effects_tried import EffectsKept, roomiest, sources, try_effects
 from agent.in_words import plain
 from agent.live import live
-from agent.moves import Key, Space
+from agent.moves import Key, Space, start_of
 from agent.progress import WALK, Found, Past, Progress
+from agent.waiting import workers_watched
 from luxloop import __version__
 from luxloop.bus import Interrupt
 from luxloop.campaign import Ended, Plan, RunId, Step
 from luxloop.client import Client
 from luxloop.door import LOST_S, RunDoor
 from luxloop.endpoint import listening
-from luxloop.errors import InputError
+from luxloop.errors import InputError, RemoteError
 from luxloop.model import Model
 from luxloop.model_file import find_model, to_toml
 from luxloop.process import usable_cores
@@ -52,6 +54,8 @@ class Launched:
     interrupted: bool
     walk: tuple[Key, ...] = ()
     """The walk's designs, in the order in which they were told."""
+    failures: tuple[tuple[str, int], ...] = ()
+    """Why evaluations of this start failed, and how often, the most frequent first."""
 
     def document(self) -> dict[str, Any]:
         """As one object for machines."""
@@ -63,6 +67,7 @@ class Launched:
             "interrupted": self.interrupted,
             **self.found.summary(),
             "best": plain(self.found.sound_best),
+            "failures": [{"why": why, "steps": count} for why, count in self.failures],
         }
 
 
@@ -87,8 +92,18 @@ def launch(
     name = run or f"{datetime.now(UTC):%Y%m%d-%H%M%S}-{campaign.designer}"
     refuse_taken_id(settings, name, local)
     plan = campaign.plan(name, chosen, model, kind=kind)
+    refuse_unready(campaign, plan)
     usable_cache(settings)
     return Start(settings, campaign, plan, chosen, local=local, show=show, say=say).go()
+
+
+def refuse_unready(campaign: Campaign, plan: Plan) -> None:
+    """InputError, before anything starts, where the designer lacks its package or cannot begin where it should."""
+    learner = campaign.learner
+    if learner is not None and not learner.random_actions and find_spec("torch") is None:
+        mend = "pip install 'luxloop[designer]', or take one that does not learn: pattern, random, grid"
+        raise InputError("designer", campaign.designer, "a designer whose packages are installed (torch)", mend)
+    start_of(Space.of(plan), campaign.start or (learner.start if learner else None))
 
 
 @dataclass(frozen=True)
@@ -114,7 +129,9 @@ class Start:
             interruptible() as interrupted,
             Client(self.settings, local=self.local, patience_s=PATIENCE_S, ray_workers=workers) as client,
             self._begun(client) as door,
+            workers_watched(client, warn if self.say else lambda _: None),
             live(self.show, plan.run, campaign.stop.evaluations, client) as look,
+            to_go_on_with(f"luxloop campaign resume {plan.run}"),
         ):
             door.on_lost = lost(self.show)
             if self.say:
@@ -128,7 +145,8 @@ class Start:
                 checkpoints.save(runner)
             walk = tuple(runner.designer.known.uniformity)
             stopped = found.reason == INTERRUPTED
-            return Launched(plan.run, found, door.end(found.reason, complete=not stopped), stopped, walk)
+            ended = door.end(found.reason, complete=not stopped)
+            return Launched(plan.run, found, ended, stopped, walk, tuple(runner.failures.most_common()))
 
     def _begun(self, client: Client) -> RunDoor:
         """The open run. Before it is begun, its workers have shown that they can do what the model's effects ask."""
@@ -203,6 +221,18 @@ def running_set(settings: Settings, *, local: bool) -> Iterator[Settings]:
 def ray_workers(lanes: int) -> int:
     """Ray-tracing workers that a campaign starts where no set runs: one for each core, as far as its lanes go."""
     return max(1, min(lanes, usable_cores()))
+
+
+@contextmanager
+def to_go_on_with(command: str) -> Iterator[None]:
+    """Where router or controller stay away, the error says by which command the run goes on once they are back."""
+    try:
+        yield
+    except RemoteError as error:
+        if error.failure.code not in ("no_router", "no_controller"):
+            raise
+        mend = f"{error.failure.mend}; then {command}" if error.failure.mend else command
+        raise RemoteError(error.failure.model_copy(update={"mend": mend})) from error
 
 
 def lost(show: bool) -> Callable[[float], None]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,7 +20,7 @@ INTERRUPTED = 130
 
 
 def tell(launched: Launched, as_json: bool, page: Path | None = None) -> None:
-    """What was found; exit code 130 where it was interrupted."""
+    """What was found; exit code 130 where it was interrupted, 1 where nothing could be evaluated."""
     document = launched.document() | ({"report": str(page)} if page else {})
     if as_json:
         typer.echo(json.dumps(document))
@@ -27,8 +28,11 @@ def tell(launched: Launched, as_json: bool, page: Path | None = None) -> None:
         typer.echo("\n".join(as_text(document)))
     if launched.interrupted:
         if as_json:
-            sys.stderr.write(f"interrupted; to go on: luxloop campaign resume {launched.run}\n")
+            again = named(Path(document["folder"]))
+            sys.stderr.write(f"interrupted; to go on: luxloop campaign resume {again}\n")
         raise typer.Exit(INTERRUPTED)
+    if document["best"] is None:
+        raise typer.Exit(1)
 
 
 def as_text(document: dict[str, Any]) -> list[str]:
@@ -39,6 +43,9 @@ def as_text(document: dict[str, Any]) -> list[str]:
         f"run          {document['run']}: {document['reason']}",
         f"evaluated    {counts}, {document['wall_s']:.0f} s{later}",
     ]
+    if failures := document["failures"]:
+        count, most = sum(one["steps"] for one in failures), failures[0]
+        lines.append(f"failed       {count} steps, {most['steps']} of them: {most['why']}")
     best, start, bare = (document[name] for name in ("best", "start", "without_dbr"))
     if best:
         again = "" if best not in document["finalists"] else "  (evaluated once: once more, it failed)"
@@ -54,10 +61,16 @@ def as_text(document: dict[str, Any]) -> list[str]:
         lines.append(f"gained       {gain:+.2f} +- {error:.2f} points over the start")
     lines.append(f"journal      {document['folder']}: {document['records']} records, root {document['root']}")
     if document["interrupted"]:
-        lines.append(f"next         luxloop campaign resume {document['run']}")
+        lines.append(f"next         luxloop campaign resume {named(Path(document['folder']))}")
     elif "report" in document:
         lines.append(f"report       {document['report']}")
     else:
         near = Path(document["folder"]).parent == load_settings().runs_dir.resolve()
         lines.append(f"next         luxloop campaign report {document['run'] if near else document['folder']}")
     return lines
+
+
+def named(folder: Path) -> str:
+    """How a run to go on with is named: by its id, and by its folder of runs where that is not where one looks."""
+    near = folder.resolve().parent == load_settings().runs_dir.resolve()
+    return folder.name if near else f"{folder.name} --runs {shlex.quote(str(folder.resolve().parent))}"

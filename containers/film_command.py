@@ -120,6 +120,7 @@ class _Question:
         environment = model.environment
         self.model, self.model_name, self.against = model, model_name, against
         self.quantity, self.polarisation = quantity, polarisation
+        self.own_line = {"--wavelengths": wavelengths or None, "--bandwidth": bandwidth}
         self.pairs = dbr_pairs("--pairs", pairs) if pairs is not None else []
         self.stack = parse_stack(stack) if stack is not None else None
         self.side: Side = side or ("inside" if self.stack is None and quantity in ("R", "T") else "outside")
@@ -172,6 +173,10 @@ class _Question:
         if self.stack is not None or self.against != "angle" or self.quantity not in ("R", "T"):
             asked = f"{self.quantity} of {'a stack' if self.stack else 'a DBR'} against {self.against}"
             raise InputError(option, asked, "R or T of a DBR against angle", "use --pairs, and leave --against out")
+        for name, value in self.own_line.items():
+            if value is not None:
+                mend = f"leave it out beside {option}: a table is of the model's line; change that in a model file"
+                raise InputError(name, value, "values without a table, or stack, alone", mend)
         environment = self.model.environment
         line = Spectrum(peak_nm=environment.peak_nm, fwhm_nm=environment.fwhm_nm)
         return [

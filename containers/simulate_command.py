@@ -96,7 +96,7 @@ def simulate(
         float | None, typer.Option(help="Seconds; a target that would take longer is refused. Default 60.")
     ] = None,
     histories: Annotated[int | None, typer.Option(help="Trace so many rays instead, rounded up to 32,768.")] = None,
-    seed: Annotated[str, typer.Option(help="Of the histories.")] = "1",
+    seed: Annotated[str | None, typer.Option(help="Of the histories; default 1.")] = None,
     array: Annotated[
         str | None, typer.Option(help="Rows x columns of a finite module, e.g. 5x5; default: an endless array.")
     ] = None,
@@ -107,7 +107,9 @@ def simulate(
     stored_exits: Annotated[
         bool, typer.Option("--stored-exits/--no-stored-exits", help="Land stored chip exits: D, S change fast.")
     ] = False,
-    exit_seed: Annotated[str, typer.Option(help="Of stored exits, of the twin and of a ray file.")] = "1",
+    exit_seed: Annotated[
+        str | None, typer.Option(help="Of stored exits, of the twin and of a ray file; default 1.")
+    ] = None,
     plot: Annotated[Path | None, typer.Option(help="Draw map, cut and ledger: .png, .pdf or .svg.")] = None,
     npz: Annotated[Path | None, typer.Option(help="All arrays, and the document as JSON text: .npz.")] = None,
     ies: Annotated[
@@ -131,10 +133,12 @@ def simulate(
     for option, file in zip(FILES, wanted.values(), strict=True):
         check_file(option, file, FILES[option])
     draw = view("simulation", plot) if plot is not None else None
-    if budget is not None and (histories is not None or method == "twin"):
-        raise InputError(
-            "--budget", budget, "nothing beside --histories or --method twin", "it bounds --target-error"
-        )
+    refuse_idle(
+        method, stored_exits, {
+            "--budget": budget, "--histories": histories, "--target-error": target_error, "--seed": seed,
+            "--exit-seed": exit_seed, "--ies": ies, "--rays": rays,
+        },
+    )  # fmt: skip
     if histories is None and target_error is None:
         histories, target_error = (TWIN_HISTORIES, None) if method == "twin" else (None, TARGET_ERROR_POINTS)
     if histories is not None and target_error is not None:
@@ -148,9 +152,9 @@ def simulate(
             histories=histories,
             target_error_points=target_error,
             budget_s=BUDGET_S if budget is None else budget,
-            seed=seed,
+            seed=seed or "1",
             stored_exits=stored_exits,
-            exit_seed=exit_seed,
+            exit_seed=exit_seed or "1",
             map_bins=map_bins,
             far_field=ies is not None,
             exit_histories=RAY_HISTORIES if rays is not None else 0,
@@ -167,6 +171,25 @@ def simulate(
     write_files(document, answer.arrays, request, {name: file for name, file in wanted.items() if name != "plot"})
     document["files"] = {name: str(file) for name, file in wanted.items() if file is not None}
     typer.echo(json.dumps(document) if as_json else as_text(document))
+
+
+def refuse_idle(method: Method, stored_exits: bool, given: Mapping[str, Any]) -> None:
+    """InputError for the first option that this method, or this call, does not look at; None: not given."""
+    twin, counted = method == "twin", given["--histories"] is not None
+    none_stored = not (twin or stored_exits or given["--rays"] is not None)
+    exits = "--stored-exits, --method twin or --rays"
+    idle = {
+        "--budget": (twin or counted, "--target-error", "it bounds the time to that error"),
+        "--seed": (twin, "Monte Carlo", "the twin's own draws are those of --exit-seed"),
+        "--target-error": (twin, "Monte Carlo", "the twin takes --histories, of its chips' exits"),
+        "--ies": (twin, "Monte Carlo", "the twin has no far field"),
+        "--exit-seed": (none_stored, exits, "the histories have --seed"),
+    }
+    if twin and stored_exits:
+        raise InputError("--stored-exits", True, "nothing beside --method twin", "leave it out: the twin always does")
+    for name, (is_idle, acting, mend) in idle.items():
+        if is_idle and given[name] is not None:
+            raise InputError(name, str(given[name]), f"with {acting} only", mend)
 
 
 def design_of(given: Mapping[str, float | None], design: str | None, preset: str | None) -> Design:
@@ -189,7 +212,7 @@ def design_of(given: Mapping[str, float | None], design: str | None, preset: str
         if name not in base:
             mend = "give all five options -D -W -S -T -P, or --design, or --preset S_b3"
             raise InputError(OPTIONS[name], None, "a number", mend)
-    with named_by_option("--design" if design is not None else ""):
+    with named_by_option("--design" if design is not None and set(given.values()) == {None} else ""):
         return parse(Design, base)
 
 

@@ -7,6 +7,7 @@ held open and answered when their time has come; a hold that is over is answered
 from __future__ import annotations
 
 import logging
+import math
 import threading
 import time
 from collections import deque
@@ -44,7 +45,7 @@ MOST_FAILED_TICKS = 40  # in a row, ten seconds: nothing is looked after then, a
 WHY_CHARACTERS = 500  # kept of why an attempt crashed: a compiler's message has pages
 ORPHAN_S = 30.0  # who has not asked again for so long has gone; a task that nobody else wants is withdrawn
 QUESTIONS = ("submit", "withdraw", "status", "hello", "pull", "done", "begin", "act", "note", "end")
-STARTING_S = 300.0  # how long a run waits for a worker to appear: one that starts compiles for a minute
+RUN_PATIENCE_S = math.inf  # a run waits for a worker as long as it takes: a failure would be a step of it for good
 FINAL = ("bad_input", "too_large", "unknown_effect", "not_found", "version")  # another attempt would not mend these
 
 
@@ -252,7 +253,7 @@ class Dispatcher:
         wanted.limit_s, wanted.by_runs = max(wanted.limit_s, c.LIMIT_S), True
         self._perform(
             self.core.handle(
-                e.Submitted(now, task.id, task.kind, STARTING_S, c.LIMIT_S, want.run, want.group, want.ahead)
+                e.Submitted(now, task.id, task.kind, RUN_PATIENCE_S, c.LIMIT_S, want.run, want.group, want.ahead)
             )
         )
 

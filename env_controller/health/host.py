@@ -16,8 +16,11 @@ from luxloop.errors import InputError
 from luxloop.process import usable_cores
 from luxloop.settings import Settings, usable_cache
 
-PACKAGES = ("eclipse-zenoh", "numpy", "pydantic", "cryptography", "numba", "matplotlib")
-OPTIONAL = {"numba": "workers", "matplotlib": "viewer"}
+PACKAGES = ("eclipse-zenoh", "numpy", "pydantic", "cryptography")
+OPTIONAL = {
+    "numba": "workers", "torch": "designer", "gymnasium": "designer", "matplotlib": "viewer", "scipy": "validation",
+    "tifffile": "validation",
+}  # fmt: skip
 DISK_GB = 1.0
 SHARED_MB = 16.0
 OPEN_FILES = 1024
@@ -30,7 +33,7 @@ CGROUP_LIMITS = ("memory.max", "memory/memory.limit_in_bytes")  # of version 2, 
 def packages() -> Iterator[Finding]:
     """Which releases are installed here."""
     yield Finding("luxloop", "ok", f"{__version__} on Python {sys.version.split()[0]}, {usable_cores()} cores")
-    for name in PACKAGES:
+    for name in (*PACKAGES, *OPTIONAL):
         try:
             yield Finding(name, "ok", version(name))
         except PackageNotFoundError:
