@@ -130,6 +130,10 @@ class Effect(Words):
         if one.score_variable == "square" and one.off not in (None, 0.0):
             mend = "count it from there, or score the value"
             raise InputError(where, one.off, "0, from which a square is counted", mend)
+        is_line = not cls.twin or cls.walks
+        if is_line and not (cls.discrete or one.choices) and one.off not in (None, 0.0):
+            mend = "count it from there: what only Monte Carlo shows is a straight line from 0"
+            raise InputError(where, one.off, "0, of an effect that the twin does not follow", mend)
         if cls.discrete and one.off is not None and not one.choices:
             mend = "choices, or a shape_grid of values to try in place of off"
             raise InputError(where, one.off, "none, of a number of a discrete effect: it has no slope there", mend)

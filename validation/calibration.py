@@ -75,7 +75,8 @@ class Calibrated:
     def sentence(self) -> str:
         """What to say first."""
         if not self.after.observed.of_modules:
-            films = dict.fromkeys(path.split(".")[1] for path in self.after.fit.problem.unknowns.other_paths)
+            paths = self.after.fit.problem.unknowns.other_paths
+            films = dict.fromkeys(path.partition(".")[2].rpartition(".layers.")[0] for path in paths)
             return f"spectra of {', '.join(films) or 'films'} fitted"
         substrate, receiver = (named(getattr(self.after.fit.model.environment, part)) for part in PARTS)
         return f"substrate {substrate}; receiver {receiver}"

@@ -31,7 +31,7 @@ def overstated_of(found: Fit, shots: Sequence[Mapping[str, Any]]) -> Iterator[st
     """As `overstated`, for the shots of a document on a fit: all that was fitted is counted."""
     unknowns = found.problem.unknowns
     names = [one.name for one in unknowns.parameters]
-    own = [{"nuisances": [name for name in names if name.startswith(f"{shot['id']}.")]} for shot in shots]
+    own = [{"nuisances": [name for name in names if name.rpartition(".")[0] == shot["id"]]} for shot in shots]
     fitted = len(unknowns.model_paths) + len(unknowns.other_paths)
     return overstated([{**shot, **more} for shot, more in zip(shots, own, strict=True)], fitted)
 

@@ -39,6 +39,8 @@ REGIONS = 20
 MOST_MODEL_NOISE = 0.3
 """Of a far field's Monte Carlo, rms in the measurement's sigma: its noise is not told to the fit, as that of images
 is, so a tenth of the variance is all that it may have."""
+FAR_BINS = 64, 32
+"""Rows and columns of the worker's far fields, over the upper half."""
 NULLS = "nulls"
 """Folder in the cache: the distribution of noise after a fit depends on its layout, not on its data."""
 
@@ -189,7 +191,7 @@ class Comparison:
 
     def _nuisances(self, shot: str) -> list[dict[str, Any]]:
         """What only this image has: values with errors; `pull`: from the mean of its prior, in its sds."""
-        known = (one for one in self.fit.problem.unknowns.parameters if one.name.startswith(f"{shot}."))
+        known = (one for one in self.fit.problem.unknowns.parameters if one.name.rpartition(".")[0] == shot)
         return [
             {
                 "name": one.name.removeprefix(f"{shot}."), "value": self.fit.value(one.name),
@@ -263,12 +265,33 @@ def compared(
 def noisy_curves(found: Fit, solver: Solver) -> list[str]:
     """Why verdicts on far fields may not be used, whose Monte Carlo is as noisy as they are."""
     histories = max(HISTORIES, solver.histories or 0)
-    return [
-        f"the Monte Carlo's own noise in {shot} is {share:.2f} of its sigma, above {MOST_MODEL_NOISE:g}: about"
-        f" {float(f'{histories * (share / MOST_MODEL_NOISE) ** 2:.1e}'):,.0f} histories would do"
-        for shot, share in curve_noise_shares(found).items()
-        if share > MOST_MODEL_NOISE
-    ]
+    doubts, alone = [], curve_noise_shares(found)
+    for curve in found.problem.curves:
+        share, alike = alone[curve.id], rows_alike(curve)
+        if share * alike**0.5 > MOST_MODEL_NOISE:
+            many = f", and {alike:.1f} of its rows have one number of it" if alike > 1.05 else ""
+            wanted = float(f"{histories * alike * (share / MOST_MODEL_NOISE) ** 2:.1e}")
+            doubts.append(
+                f"the Monte Carlo's own noise in {curve.id} is {share:.2f} of its sigma{many}, together above"
+                f" {MOST_MODEL_NOISE:g}: about {wanted:,.0f} histories would do"
+            )
+    return doubts
+
+
+def rows_alike(curve: CurveData) -> float:
+    """How many rows of a far field see one number of its Monte Carlo, on average; 1 of other curves, at least.
+
+    The worker's bins are equal in cos(theta) and phi, and of a square module eight directions are one. What is summed
+    up over so many rows errs as one of them, and the measurement's noise does not.
+    """
+    if not isinstance(curve.source, MeasuredFarField):
+        return 1.0
+    rows, columns = FAR_BINS
+    table = curve.source.table
+    up = np.minimum((np.cos(np.radians(table.theta_deg)) * rows).astype(int), rows - 1)
+    turned = table.phi_deg % 90.0
+    around = (np.minimum(turned, 90.0 - turned) * columns / 360.0).astype(int)
+    return len(up) / len(np.unique(np.stack([up, around]), axis=1).T)
 
 
 def curve_noise_shares(found: Fit) -> dict[str, float]:

@@ -118,6 +118,10 @@ def test_a_good_file_is_known_by_its_hash(tmp_path: Path) -> None:
             ("spec: Mine.share: off: got 0.1", "0, from which a square is counted", "score the value"),
         ),
         (
+            detector("return image").replace("off=0.0", "off=0.1").replace('formula =', 'twin = False; formula ='),
+            ("spec: Mine.share: off: got 0.1", "0, of an effect that the twin does not follow", "from there"),
+        ),
+        (
             detector("return image").replace('formula =', 'discrete = True; formula ='),
             ("spec: Mine.share: off: got 0.0", "none, of a number of a discrete effect", "shape_grid"),
         ),
@@ -129,7 +133,7 @@ def test_a_good_file_is_known_by_its_hash(tmp_path: Path) -> None:
     ids=[
         "creates energy", "off not identical", "exception", "wrong shape", "NaN", "not linear", "not an array",
         "in place", "random", "slow", "import missing", "no unit", "wrong unit", "range",
-        "square from elsewhere", "discrete number", "other name", "syntax",
+        "square from elsewhere", "line from elsewhere", "discrete number", "other name", "syntax",
         "exits", "no effect",
     ],
 )  # fmt: skip

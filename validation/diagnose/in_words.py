@@ -31,7 +31,6 @@ def limits_in_words(scored: Scores) -> list[str]:
 def limits(scored: Scores) -> list[tuple[str, str, float, str]]:
     """(effect, parameter, value, unit) of the size that is seen with 90 % power, of all that can be tested."""
     count = max(len(scored.effects), 1)
-    wanted = float(ndtri(POWER) - ndtri(LEVEL / 4.0 / count))
     found = []
     for one in scored.effects:
         candidate = one.best.candidate
@@ -39,6 +38,7 @@ def limits(scored: Scores) -> list[tuple[str, str, float, str]]:
             continue
         lower, upper = limits_of(candidate.parameter)
         off = candidate.parameter.off if isinstance(candidate.parameter.off, float) else 0.0
+        wanted = float(ndtri(POWER) - ndtri(LEVEL / 4.0 / count / one.shapes))  # its shapes are paid for, too
         value = abs(candidate.value(wanted * one.best.error) - off)
         if value <= max(upper - off, off - lower):
             found.append(

@@ -115,6 +115,8 @@ class EffectScore:
     best: Score
     p: float
     """Chance that noise alone makes this effect score as well, over its shapes."""
+    shapes: int = 1
+    """In how many it was scored."""
 
     @property
     def name(self) -> str:
@@ -213,13 +215,14 @@ def scores(projected: Projected, residual: Real, scale: float = 1.0, draws: int 
         rows = [k for k, one in enumerate(projected.candidates) if one.effect.name == name]
         best = max((found[k] for k in rows), key=lambda score: score.drop)
         largest = drawn[rows].max(axis=0)
-        effects.append(EffectScore(best, _p(largest, best.drop, len(rows))))
-        normal[number] = _ranks(largest)
+        effects.append(EffectScore(best, _p(largest, best.drop, len(rows)), len(rows)))
+        normal[number] = _own_ps(largest, len(rows))
     smallest = normal.min(axis=0) if names else np.ones(draws)
     observed = min((one.p for one in effects), default=1.0)
-    p = min(1.0, (1 + int(np.sum(smallest <= observed))) / (1 + draws)) if observed > 1.0 / draws else None
-    if p is None:  # beyond what was drawn: no effect's chance is larger than the sum of all
-        p = min(1.0, len(names) * observed)
+    as_small = int(np.sum(smallest <= observed))
+    p = (1 + as_small) / (1 + draws)
+    if not as_small:  # beyond what was drawn: no chance of several is larger than the sum of all
+        p = min(p, len(names) * observed)
     effects.sort(key=lambda one: -one.best.drop)
     return Scores(tuple(effects), p, draws, projected.untestable)
 
@@ -279,16 +282,22 @@ def _null(projected: Projected, draws: int, seed: int) -> Real:
     return drops
 
 
+LEAST_ABOVE = 10
+"""Draws as large from which on a chance is counted."""
+
+
 def _p(drawn: Real, drop: float, shapes: int) -> float:
     """Counted where draws reach, else by the chi2 of one degree of freedom for each shape."""
     above = int(np.sum(drawn >= drop))
-    if above >= 10 or drop == 0.0:
+    if above >= LEAST_ABOVE or drop == 0.0:
         return (1 + above) / (1 + len(drawn))
     return float(min(1.0, shapes * 2.0 * np.exp(log_ndtr(-(max(drop, 0.0) ** 0.5)))))
 
 
-def _ranks(values: Real) -> Real:
-    """(1 + how many are as large) / (1 + all), of each value among all."""
+def _own_ps(values: Real, shapes: int) -> Real:
+    """`_p` of each value among the others."""
     order = np.sort(values)
-    above = len(values) - np.searchsorted(order, values, side="left")
-    return np.asarray((1.0 + above) / (1.0 + len(values)))
+    above = len(values) - np.searchsorted(order, values, side="left") - 1
+    counted = (1.0 + above) / len(values)
+    reckoned = np.minimum(1.0, shapes * 2.0 * np.exp(log_ndtr(-np.sqrt(np.maximum(values, 0.0)))))
+    return np.asarray(np.where((above >= LEAST_ABOVE) | (values == 0.0), counted, reckoned))

@@ -77,7 +77,7 @@ def curve_of(one: MeasuredSpectrum, values: Mapping[str, float]) -> Curve:
     """The question about a spectrum with its film's parameters at these values, by path."""
     film, table = one.film, one.table
     for path, value in values.items():
-        if path.startswith(f"films.{film.id}."):
+        if path.startswith(f"films.{film.id}.layers."):
             film = with_film_value(film, path, value)
     return Curve(
         film, one.shot.quantity, table.wavelength_nm, table.aoi_deg, table.polarisation, one.shot.bandwidth_nm

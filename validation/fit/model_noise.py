@@ -42,18 +42,18 @@ class NoiseBlock:
         white[..., self.rows] = part - ((part @ self.columns.T) @ self.root) @ self.columns
 
 
-def noise_blocks(white: Whitening, samples: Sequence[str], noise_dn: Sequence[Real | None]) -> tuple[NoiseBlock, ...]:
+def noise_blocks(white: Whitening, runs: Sequence[str], noise_dn: Sequence[Real | None]) -> tuple[NoiseBlock, ...]:
     """The blocks of images whose noise is told.
 
     Parameters
     ----------
     white : of the camera alone.
-    samples : of each image: images of one sample are seen by the same histories.
+    runs : of each image, by whose histories it is seen: equal for images of one module, or of several alike.
     noise_dn : (function, row, column) of each image, None where there is no Monte Carlo.
     """
     found = []
-    for sample in dict.fromkeys(name for name, one in zip(samples, noise_dn, strict=True) if one is not None):
-        own = [one if name == sample else None for name, one in zip(samples, noise_dn, strict=True)]
+    for run in dict.fromkeys(name for name, one in zip(runs, noise_dn, strict=True) if one is not None):
+        own = [one if name == run else None for name, one in zip(runs, noise_dn, strict=True)]
         count = max(len(one) for one in own if one is not None)
         images = []
         for one, used in zip(own, white.used, strict=True):

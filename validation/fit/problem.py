@@ -30,6 +30,7 @@ from validation.fit.parameters import (
 from validation.fit.whitening import Whitening, whitening
 from validation.measured import MeasuredImage
 from validation.prediction import POSE_COLUMNS, Anchored, Pose, Predicted, PredictedCurve, Sensor, View
+from validation.prediction.words import run_of
 from validation.sample_values import numbers
 
 Real = NDArray[np.float64]
@@ -134,7 +135,8 @@ class Evaluation:
             for image, one in zip(self.problem.images, self.predicted, strict=True)
         ]
         sigmas = tuple(self._curve_sigma(k) for k in range(len(self.predicted_curves)))
-        blocks = noise_blocks(white, [image.sample.id for image in self.problem.images], noise)
+        runs = [run_of(image.sample, self.model) for image in self.problem.images]
+        blocks = noise_blocks(white, runs, noise)
         return replace(white, noise=blocks, curve_sigma=sigmas)
 
     def residual(self, white: Whitening) -> Real:

@@ -37,8 +37,8 @@ class Wanted:
 def predict(wanted: Wanted, views: Sequence[FarView], ask: Ask) -> list[PredictedCurve]:
     """The far field of each view's module: the light on its first way to the receiver, 1/sr per flux of a chip.
 
-    Interpolated between the middles of the worker's bins, equal in cos(theta) and phi; beyond the outer middles the
-    last bin's value.
+    Interpolated between the middles of the worker's bins, equal in cos(theta) and phi; beyond the outer middles
+    continued on a straight line.
     """
     for view in views:
         if np.any((view.theta_deg < 0.0) | (view.theta_deg > 90.0)):
@@ -69,13 +69,33 @@ def _request(wanted: Wanted, model: Model, view: FarView) -> RayRequest:
 
 def _seen(answer: Answer, view: FarView, name: str) -> Real:
     """An array (cos theta, phi) of a far field, upper half, in the directions of a view."""
-    bins = np.asarray(answer.arrays[name], np.float64)
-    rows, columns = bins.shape
-    row = np.clip(np.cos(np.radians(view.theta_deg)) * rows - 0.5, 0.0, rows - 1.0)
+    nodes, values = _continued(np.asarray(answer.arrays[name], np.float64), is_error="_error_" in name)
+    columns = values.shape[1]
+    cosine = np.cos(np.radians(view.theta_deg))
+    row = np.clip(np.searchsorted(nodes, cosine, side="right") - 1, 0, nodes.size - 2)
+    up = (cosine - nodes[row]) / (nodes[row + 1] - nodes[row])
     column = (view.phi_deg % 360.0) / 360.0 * columns - 0.5
-    up, across = np.minimum(row.astype(int), rows - 2), np.floor(column).astype(int)
-    t, s = row - up, column - across
-    left, right = (bins[:, (across + k) % columns] for k in (0, 1))
-    place = np.arange(len(up))
-    low, high = ((1.0 - s) * left[up + k, place] + s * right[up + k, place] for k in (0, 1))
-    return np.asarray((1.0 - t) * low + t * high)
+    across = np.floor(column).astype(int)
+    share = column - across
+    low, high = (
+        (1.0 - share) * values[row + k, across % columns] + share * values[row + k, (across + 1) % columns]
+        for k in (0, 1)
+    )
+    return np.asarray((1.0 - up) * low + up * high)
+
+
+def _continued(bins: Real, *, is_error: bool) -> tuple[Real, Real]:
+    """cos(theta) from the horizon to the normal, and what stands there (cos theta, phi): as the worker's far field.
+
+    Half a row further on a straight line, not below 0; the normal has one value, the mean over phi. Errors there are
+    those of the line's ends, as if every column erred alike.
+    """
+    rows = len(bins)
+    nodes = np.concatenate([[0.0], (np.arange(rows) + 0.5) / rows, [1.0]])
+    outer = [(0, 1), (-1, -2)]
+    if is_error:
+        bottom, top = (np.hypot(1.5 * bins[a], 0.5 * bins[b]) for a, b in outer)
+    else:
+        bottom, top = (np.maximum(1.5 * bins[a] - 0.5 * bins[b], 0.0) for a, b in outer)
+        top = np.full_like(top, max(float((1.5 * bins[-1] - 0.5 * bins[-2]).mean()), 0.0))
+    return nodes, np.vstack([bottom, bins, top])

@@ -17,7 +17,7 @@ from luxloop.camera import Camera
 from luxloop.errors import InputError
 from luxloop.ray import AnchorRequest, ChipArray, PredictionRequest, RayRequest, ShotRequest
 from validation.prediction.differences import SHARE, moved_models
-from validation.prediction.words import POSE_COLUMNS, Anchored, Pose, Predicted, Real, Traced, View
+from validation.prediction.words import POSE_COLUMNS, Anchored, Pose, Predicted, Real, Traced, View, run_of
 from validation.sample_values import of_sample
 
 if TYPE_CHECKING:
@@ -170,8 +170,9 @@ def predict(wanted: Wanted, views: Sequence[View], ask: Ask) -> list[Predicted]:
                 columns = found[n].jacobian_per_mm2
                 columns[path] = columns.get(path, 0.0) + weight * _real(image)
     found = {number: replace(one, of_all_light=frozenset(wanted.of_all_light)) for number, one in found.items()}
-    for sample in {view.sample.id for view in views}:
-        parts = [[n for n in group if views[n].sample.id == sample] for group in groups]
+    runs = [run_of(view.sample, wanted.model) for view in views]
+    for run in set(runs):
+        parts = [[n for n in group if runs[n] == run] for group in groups]
         found |= _told_apart(found, [part for part in parts if part])
     return [found[number] for number in range(len(views))]
 
@@ -324,7 +325,7 @@ def _images(wanted: Wanted, answer: Answer) -> Iterator[Predicted]:
 
 
 def _told_apart(found: Mapping[int, Predicted], parts: Sequence[Sequence[int]]) -> dict[int, Predicted]:
-    """Views of one sample, of several requests (images of two sizes), with noise that bounds what they share.
+    """Views of one run, of several requests (images of two sizes), with noise that bounds what they share.
 
     The functions of one request are not those of another. With m requests each has m times its own covariance and
     nothing in common with others: whatever X is, [[A, X], [X', B]] <= diag(2 A, 2 B), so that no error is too small.
@@ -384,16 +385,18 @@ def _groups_of(some: Sequence[int], moves: Sequence[_Move], views: Sequence[View
 def _groups(views: Sequence[View], times: int, at: Anchored | None = None) -> Iterator[list[int]]:
     """Numbers of views of one size, and of as many histories, as many together as a request and its answer hold.
 
-    Views of one sample see one run of Monte Carlo, whose noise is told by the same functions only within a request:
-    they are parted only where they are of several sizes, or more than one holds (`_told_apart`).
+    Views of one sample, or of samples alike, see one run of Monte Carlo, whose noise is told by the same functions
+    only within a request: they are parted only where they are of several sizes, or more than one holds
+    (`_told_apart`).
     """
     alike: dict[tuple[int, int, int], dict[str, list[int]]] = {}
     for number, view in enumerate(views):
         histories = 0 if at is None else at.histories_of(view.sample.id)
-        samples = alike.setdefault((view.rows, view.columns, histories), {})
-        samples.setdefault(view.sample.id, []).append(number)
-    for (rows, columns, _), samples in alike.items():
-        yield from _together(samples.values(), max(1, min(MOST_SHOTS, MOST_VALUES // (rows * columns * times))))
+        runs = alike.setdefault((view.rows, view.columns, histories), {})
+        run = view.sample.id if at is None else run_of(view.sample, at.model)
+        runs.setdefault(run, []).append(number)
+    for (rows, columns, _), runs in alike.items():
+        yield from _together(runs.values(), max(1, min(MOST_SHOTS, MOST_VALUES // (rows * columns * times))))
 
 
 def _together(parts: Iterable[list[int]], most: int) -> Iterator[list[int]]:

@@ -47,7 +47,7 @@ def predict(model: Model, curves: Sequence[Curve], paths: tuple[str, ...], ask: 
 
     `paths` : of films, and of effects of the model.
     """
-    known = [f"films.{curve.film.id}." for curve in curves]
+    known = [f"films.{curve.film.id}.layers." for curve in curves]
     for path in paths:
         if not any(path.startswith(prefix) for prefix in (*known, "effects.")):
             raise InputError(
@@ -107,7 +107,7 @@ def _moved(model: Model, curve: Curve, paths: Sequence[str]) -> Iterator[tuple[s
         if path.startswith("effects."):
             for weight, other in moved_models(model, path, EFFECT_SHARE):
                 yield path, weight, other, curve
-        elif path.startswith(f"films.{curve.film.id}."):
+        elif path.startswith(f"films.{curve.film.id}.layers."):
             value, film = film_value(curve.film, path), curve.film
             step = step_of(path, 0.0)
             step = max(step, THICKNESS_SHARE * value) if path.endswith("thickness_nm") else step

@@ -45,6 +45,14 @@ class Pose:
         return self.shift_px[1] * pixel_um, self.shift_px[0] * pixel_um
 
 
+def run_of(sample: Sample, model: Model) -> str:
+    """Equal for samples whose images are seen by the same histories: modules of the same numbers, whatever their ids.
+
+    One that has effects of its own in the model is a module of its own.
+    """
+    return sample.id if sample.id in model.samples else sample.model_copy(update={"id": ""}).model_dump_json()
+
+
 @dataclass(frozen=True)
 class Sensor:
     """What makes a signal of light, for effects that act on signals: gain x irradiance + offset, up to full scale."""

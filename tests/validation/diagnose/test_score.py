@@ -7,10 +7,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.stats import chi2
+from scipy.stats import chi2, norm
 
 from luxloop.effect import EffectParameter, EffectSpec
 from validation.diagnose import refit, score
+from validation.diagnose.in_words import LEVEL, limits
 from validation.diagnose.score import Candidate, Projected, scores
 from validation.diagnose.tried import promised
 from validation.effects.confounding import confounding, left_beside
@@ -276,3 +277,29 @@ def test_the_error_of_a_refitted_spread_is_how_far_it_scatters() -> None:
     assert np.median(values) == pytest.approx(0.1, rel=0.05)
     assert np.median(errors) == pytest.approx(0.1 / np.sqrt(24.0), rel=0.1)
     assert np.std(values) == pytest.approx(0.1 / np.sqrt(24.0), rel=0.15)
+
+
+def test_a_larger_score_is_never_the_likelier_one() -> None:
+    """35 effects, of which one stands out: beyond few draws its own chance is reckoned, and that of all went down to
+    a thirtieth and back; by Sidak, 1 - (1 - p)^35 of the own p."""
+    columns = np.linalg.qr(np.random.default_rng(3).standard_normal((ROWS, 35)))[0].T
+    rows = [PROJECTION.residual(one) for one in columns]
+    projected = Projected.of([candidate(f"e{k}", one) for k, one in enumerate(rows)], PROJECTION)
+    along = rows[0] / np.linalg.norm(rows[0])
+    z = np.arange(3.0, 4.4, 0.05)
+    p = np.array([scores(projected, one * along).p for one in z])
+    assert np.all(np.diff(p) <= 0.0)
+    alone = 2.0 * norm.sf(z)
+    right = 1.0 - (1.0 - alone) ** 35
+    assert np.all(np.abs(np.log(p / right))[z < 4.0] < 0.35)
+
+
+def test_what_would_have_been_seen_pays_for_its_shapes() -> None:
+    """With 90 % power at the level of a verdict, for one shape and the best of five."""
+    one = [candidate("a", column(1), length=1.0)]
+    five = [candidate("a", column(k), length=float(k)) for k in (1, 2, 3, 4, 5)]
+    for tried, shapes in ((one, 1), (five, 5)):
+        found = scores(Projected.of(tried, PROJECTION), 1e-6 * column(1), draws=100)
+        ((_, _, value, _),) = limits(found)
+        wanted = norm.isf(LEVEL / 4.0 / shapes) + norm.isf(0.1)
+        assert value == pytest.approx(wanted * found.effects[0].best.error, rel=1e-9)
