@@ -12,7 +12,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from agent.ask_tell import Checkpoint
+from agent.ask_tell import BROKEN, Checkpoint
 from agent.campaign import NOTHING_TOLD, digest_after
 from luxloop import __version__
 from luxloop.campaign import Plan, Step
@@ -77,7 +77,7 @@ class Checkpoints:
                 words, arrays = _read(path)
                 self._refuse_unfit(words, steps)
                 runner.restore(Checkpoint(words["runner"], arrays))
-            except (LuxloopError, OSError, LookupError, TypeError, ValueError) as error:
+            except (LuxloopError, LookupError, *BROKEN) as error:
                 self._warn(f"{path.name} is left aside ({error}); an older one, or the journal alone, will do")
                 with suppress(OSError):
                     path.replace(path.with_suffix(ASIDE))

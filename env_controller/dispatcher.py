@@ -46,7 +46,15 @@ WHY_CHARACTERS = 500  # kept of why an attempt crashed: a compiler's message has
 ORPHAN_S = 30.0  # who has not asked again for so long has gone; a task that nobody else wants is withdrawn
 QUESTIONS = ("submit", "withdraw", "status", "hello", "pull", "done", "begin", "act", "note", "end")
 RUN_PATIENCE_S = math.inf  # a run waits for a worker as long as it takes: a failure would be a step of it for good
+RUN_LIMIT_S, OF_BUDGET = 3600.0, 6.0  # of a run's task, or so many times its budget: what is longer hangs
 FINAL = ("bad_input", "too_large", "unknown_effect", "not_found", "version")  # another attempt would not mend these
+
+
+def run_limit_s(task: m.Task) -> float:
+    """How long a worker may compute a task of a run: an evaluation's budget is seconds, a day would be lost on one
+    that hangs, as in an endless loop of a user's effect."""
+    budget_s = task.inputs.get("budget_s")
+    return max(RUN_LIMIT_S, OF_BUDGET * budget_s if isinstance(budget_s, int | float) else 0.0)
 
 
 class Waiting(NamedTuple):
@@ -211,7 +219,7 @@ class Dispatcher:
 
     def _submit(self, asked: Asked, submit: m.Submit) -> None:
         task, now = submit.task, time.monotonic()
-        finished = self._kept(task.id, fresh=submit.fresh)
+        finished = self._kept(task.id, submit.asker, fresh=submit.fresh)
         if finished is not None:
             asked.answer(finished)
             return
@@ -236,24 +244,25 @@ class Dispatcher:
         )
         self._perform(self.core.handle(wish))
 
-    def _kept(self, task_id: str, *, fresh: bool) -> bytes | None:
+    def _kept(self, task_id: str, asker: str, *, fresh: bool) -> bytes | None:
         """The outcome that is kept of a task; after a fresh wish nobody is given the old one any more."""
         if fresh:
             self._results.drop(task_id)
-        return self._results.get(task_id)
+        return self._results.get(task_id, asker, time.monotonic())
 
     def _want(self, want: Want) -> None:
         """A run wants a task: as a client does, but that its outcome goes to the environment-control agent."""
         task, now = want.task, time.monotonic()
-        finished = self._kept(task.id, fresh=want.fresh)
+        finished = self._kept(task.id, "", fresh=want.fresh)
         if finished is not None:
             self._ended.append((task, finished, True))
             return
-        wanted = self._wanted.setdefault(task.id, Wanted(task, c.LIMIT_S))
-        wanted.limit_s, wanted.by_runs = max(wanted.limit_s, c.LIMIT_S), True
+        limit_s = run_limit_s(task)
+        wanted = self._wanted.setdefault(task.id, Wanted(task, limit_s))
+        wanted.limit_s, wanted.by_runs = max(wanted.limit_s, limit_s), True
         self._perform(
             self.core.handle(
-                e.Submitted(now, task.id, task.kind, RUN_PATIENCE_S, c.LIMIT_S, want.run, want.group, want.ahead)
+                e.Submitted(now, task.id, task.kind, RUN_PATIENCE_S, limit_s, want.run, want.group, want.ahead)
             )
         )
 
@@ -418,7 +427,8 @@ class Dispatcher:
         if wanted.by_runs:
             self._ended.append((wanted.task, frame, False))
         elif not wanted.waiting and finish.code not in ("done", "cancelled"):
-            self._results.put(finish.task_id, frame, once=True)  # it ended between two questions of its asker
+            until_s = time.monotonic() + ORPHAN_S  # it ended between two questions of its askers
+            self._results.put(finish.task_id, frame, once=wanted.heard_s.keys(), until_s=until_s)
 
     def _lease(self, grant: e.Grant) -> m.Lease:
         wanted = self._wanted[grant.task_id]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import OrderedDict
+from collections.abc import Collection
 
 from env_controller.events import Finish
 from luxloop import __version__
@@ -51,28 +52,33 @@ class Results:
     def __init__(self, max_bytes: int) -> None:
         self._frames: OrderedDict[str, bytes] = OrderedDict()
         self._max_bytes, self._bytes = max_bytes, 0
-        self._once: set[str] = set()
+        self._once: dict[str, tuple[set[str], float]] = {}  # by task: who may still have it, until when
 
-    def get(self, task_id: str) -> bytes | None:
-        """The kept outcome's frame; one that was kept for one asker only is given once."""
+    def get(self, task_id: str, asker: str = "", now_s: float = 0.0) -> bytes | None:
+        """The kept outcome's frame; one that is kept for some askers only is given to each of them once, in time."""
         frame = self._frames.get(task_id)
-        if frame is not None and task_id in self._once:
+        if frame is None or task_id not in self._once:
+            if frame is not None:
+                self._frames.move_to_end(task_id)
+            return frame
+        askers, until_s = self._once[task_id]
+        given = asker in askers and now_s <= until_s
+        askers.discard(asker)
+        if not askers or now_s > until_s:
             self.drop(task_id)
-        elif frame is not None:
-            self._frames.move_to_end(task_id)
-        return frame
+        return frame if given else None
 
-    def put(self, task_id: str, frame: bytes, *, once: bool = False) -> None:
-        """Keep an outcome's frame; with `once` for the next asker only."""
+    def put(self, task_id: str, frame: bytes, *, once: Collection[str] = (), until_s: float = 0.0) -> None:
+        """Keep an outcome's frame; with `once` for these askers only, who have not heard of it, until then."""
         self.drop(task_id)
         self._frames[task_id] = frame
         self._bytes += len(frame)
         if once:
-            self._once.add(task_id)
+            self._once[task_id] = set(once), until_s
         while self._bytes > self._max_bytes and self._frames:
             self.drop(next(iter(self._frames)))
 
     def drop(self, task_id: str) -> None:
         """Keep it no longer."""
         self._bytes -= len(self._frames.pop(task_id, b""))
-        self._once.discard(task_id)
+        self._once.pop(task_id, None)

@@ -205,6 +205,19 @@ def test_checkpoints_ahead_of_a_recovered_journal_make_room_for_new_ones(tmp_pat
     assert len(warnings) == c.KEPT
 
 
+def test_arrays_of_another_shape_are_left_aside(tmp_path: Path) -> None:
+    """Of a learner that has been changed since, under the same version: torch's own error ended the resume."""
+    door, warnings = Remembering(), list[str]()
+    checkpoints = kept(tmp_path, door, warnings)
+    newest, older, _ = sorted((tmp_path / c.FOLDER).iterdir(), reverse=True)
+    words, arrays = c._read(newest)
+    wrong = {name: array[..., :-1] if array.ndim == 2 else array for name, array in arrays.items()}
+    newest.write_bytes(Checkpoint(words, wrong).to_bytes())
+    runner = checkpoints.restored(lambda: a_runner(door, stop=Stop(evaluations=300)), list(door.steps.values()))
+    assert runner.progress.steps == int(older.stem.rpartition("-")[2])
+    assert len(warnings) == 1
+
+
 def test_what_was_just_saved_is_not_the_oldest(tmp_path: Path) -> None:
     """Whatever lies there of more steps."""
     door = Remembering()

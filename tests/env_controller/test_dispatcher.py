@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 
 from env_controller.actions import Want
-from env_controller.dispatcher import ORPHAN_S, Dispatcher
+from env_controller.dispatcher import ORPHAN_S, RUN_LIMIT_S, Dispatcher
 from luxloop import __version__
 from luxloop.bus import Event, Heard, Presence
 from luxloop.bus.frame import HEADER_BYTES, decode, encode
 from luxloop.bus.keys import HOLD_S, at
-from luxloop.campaign import LIMIT_S
 from luxloop.errors import RemoteError
 from luxloop.failure import Failure
 from luxloop.messages import (
@@ -144,14 +143,14 @@ def test_predictions_about_one_anchor_go_to_the_worker_that_has_it(desk: Desk) -
 
 
 def test_the_longest_limit_that_was_asked_for_counts(desk: Desk) -> None:
-    """A run wants for a day what a client has asked for with 10 s; an impatient third one changes nothing."""
+    """A run wants for an hour what a client has asked for with 10 s; an impatient third one changes nothing."""
     desk.submit(limit_s=10.0)
     desk.controller._want(Want("one", TASK))
     desk.submit(asker="third", limit_s=1.0)
     desk.hello()
     lease = desk.pull().message
     assert isinstance(lease, Lease)
-    assert lease.limit_s == LIMIT_S
+    assert lease.limit_s == RUN_LIMIT_S
     other = desk.submit(OTHER, limit_s=10.0)
     desk.submit(OTHER, asker="another", limit_s=20.0)
     desk.hello("w2")
