@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from tests.validation.analytic import ARRAY, MODEL, Spots
 from tests.validation.diagnose.made_up import CATALOGUE, GAIN, data, diagnosis
@@ -43,9 +44,12 @@ def test_what_is_above_its_limit_is_seen() -> None:
 
 
 def test_a_limit_is_so_many_errors_as_level_and_power_ask_for() -> None:
-    """Half of 1 % for the scores, either side, of four effects: 3.227 sigma, and 1.282 more for 90 %; by name."""
+    """Half of 1 % for the scores, either side, of four effects: 3.227 sigma, more for one of several shapes (3.43 of
+    two), and 1.282 more for 90 %; by name."""
     effects = diagnosis(data(None, 1)).steps[0].scores
-    wanted = {one.name: (3.2272 + 1.2816) * one.best.error for one in effects.effects}
+    wanted = {one.name: (norm.isf(0.0025 / 4.0 / one.shapes) + 1.2816) * one.best.error for one in effects.effects}
+    assert norm.isf(0.0025 / 4.0) == pytest.approx(3.2272, abs=1e-4)
+    assert {one.name for one in effects.effects if one.shapes > 1} == {"stripes"}
     wanted["fog"] = np.sqrt(wanted["fog"])  # its image goes with the square
     found = {name: value for name, _, value, _ in limits(effects)}
     assert len(wanted) == 4
