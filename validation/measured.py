@@ -75,12 +75,14 @@ class MeasuredImage:
         return self.variance_dn2(predicted_dn) + (self.prnu * predicted_dn) ** 2
 
     def may_be_clipped(self, predicted_dn: Real) -> NDArray[np.bool_]:
-        """Where a frame may have been saturated: predicted mean + 3 sigma of a frame passes it.
+        """Where the mean of several frames may hide a saturated one: predicted mean + 3 sigma of a frame passes it.
 
-        The mean of several frames may hide one; of a single frame those pixels are left that noise made dark. Takes
-        the predicted signal (..., row, column) in DN. Within a bin the signal is taken for flat.
+        Takes the predicted signal (..., row, column) in DN; nothing is flagged where there is only one frame. Within
+        a bin the signal is taken for flat.
         """
         frames, camera = self.shot.frames_averaged, self.camera
+        if frames == 1:
+            return np.zeros(np.shape(predicted_dn), np.bool_)
         flat = camera.gain_dn_per_e / (frames * self.binning**2 * self.slope_dn)  # slope = K mean(1/f) / (n b^2)
         raw = np.maximum(predicted_dn, 0.0) * flat
         one_frame = np.sqrt(camera.gain_dn_per_e * raw + camera.dark_variance_dn2)
