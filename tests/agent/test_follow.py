@@ -57,7 +57,7 @@ def test_a_run_is_running_then_killed_then_resumed_then_over(tmp_path: Path) -> 
     run.evaluated(START, 0.7, episode=0)
     assert state(folder) == ("running", "", "")
     run.close()
-    mend = "luxloop campaign resume trial"
+    mend = f"luxloop campaign resume trial --runs {tmp_path}"  # no run of the folder where one looks
     assert state(folder) == ("killed", "its journal has no end, and nobody writes it", mend)
     run = RunOnDisk(folder)
     run.finish("interrupted", complete=False)
@@ -100,9 +100,9 @@ def test_status_says_state_reason_and_mend(tmp_path: Path) -> None:
     run.evaluated(START, 0.7, episode=0)
     run.close()
     (row,) = ask("trial", "--runs", tmp_path)
-    assert (row["state"], row["mend"]) == ("killed", "luxloop campaign resume trial")
+    assert (row["state"], row["mend"]) == ("killed", f"luxloop campaign resume trial --runs {tmp_path}")
     text = CliRunner().invoke(app, ["trial", "--runs", str(tmp_path)]).stdout
-    assert "luxloop campaign resume trial" in text
+    assert f"luxloop campaign resume trial --runs {tmp_path}" in text
     assert "killed" in text
 
 
