@@ -7,7 +7,6 @@ held open and answered when their time has come; a hold that is over is answered
 from __future__ import annotations
 
 import logging
-import math
 import threading
 import time
 from collections import deque
@@ -20,7 +19,7 @@ from uuid import uuid4
 from env_controller import events as e
 from env_controller.actions import Want
 from env_controller.campaigns import Campaigns
-from env_controller.outcomes import Results, failure_of, other_release
+from env_controller.outcomes import Results, failure_of, other_release, run_limit_s
 from env_controller.roster import GONE_S, Roster
 from env_controller.scheduler import Scheduler
 from env_controller.soundness import sound
@@ -45,16 +44,8 @@ MOST_FAILED_TICKS = 40  # in a row, ten seconds: nothing is looked after then, a
 WHY_CHARACTERS = 500  # kept of why an attempt crashed: a compiler's message has pages
 ORPHAN_S = 30.0  # who has not asked again for so long has gone; a task that nobody else wants is withdrawn
 QUESTIONS = ("submit", "withdraw", "status", "hello", "pull", "done", "begin", "act", "note", "end")
-RUN_PATIENCE_S = math.inf  # a run waits for a worker as long as it takes: a failure would be a step of it for good
-RUN_LIMIT_S, OF_BUDGET = 3600.0, 6.0  # of a run's task, or so many times its budget: what is longer hangs
+RUN_PATIENCE_S = float("inf")  # a run waits for a worker as long as it takes: a failure is a step of it for good
 FINAL = ("bad_input", "too_large", "unknown_effect", "not_found", "version")  # another attempt would not mend these
-
-
-def run_limit_s(task: m.Task) -> float:
-    """How long a worker may compute a task of a run: an evaluation's budget is seconds, a day would be lost on one
-    that hangs, as in an endless loop of a user's effect."""
-    budget_s = task.inputs.get("budget_s")
-    return max(RUN_LIMIT_S, OF_BUDGET * budget_s if isinstance(budget_s, int | float) else 0.0)
 
 
 class Waiting(NamedTuple):
@@ -252,12 +243,11 @@ class Dispatcher:
 
     def _want(self, want: Want) -> None:
         """A run wants a task: as a client does, but that its outcome goes to the environment-control agent."""
-        task, now = want.task, time.monotonic()
+        task, now, limit_s = want.task, time.monotonic(), run_limit_s(want.task)
         finished = self._kept(task.id, "", fresh=want.fresh)
         if finished is not None:
             self._ended.append((task, finished, True))
             return
-        limit_s = run_limit_s(task)
         wanted = self._wanted.setdefault(task.id, Wanted(task, limit_s))
         wanted.limit_s, wanted.by_runs = max(wanted.limit_s, limit_s), True
         self._perform(
@@ -427,8 +417,8 @@ class Dispatcher:
         if wanted.by_runs:
             self._ended.append((wanted.task, frame, False))
         elif not wanted.waiting and finish.code not in ("done", "cancelled"):
-            until_s = time.monotonic() + ORPHAN_S  # it ended between two questions of its askers
-            self._results.put(finish.task_id, frame, once=wanted.heard_s.keys(), until_s=until_s)
+            askers, now = wanted.heard_s.keys(), time.monotonic()  # it ended between two questions of its askers
+            self._results.put(finish.task_id, frame, once=askers, until_s=now + ORPHAN_S)
 
     def _lease(self, grant: e.Grant) -> m.Lease:
         wanted = self._wanted[grant.task_id]

@@ -1,4 +1,4 @@
-"""How tasks end: outcomes kept for those who ask again, and failures in words."""
+"""How tasks end: outcomes kept for those who ask again, failures in words, when a run's task has taken too long."""
 
 from __future__ import annotations
 
@@ -9,12 +9,23 @@ from collections.abc import Collection
 from env_controller.events import Finish
 from luxloop import __version__
 from luxloop.failure import Failure
+from luxloop.messages import Task
 
 MENDS = {
     "no_worker": "start a worker of this kind: luxloop serve local, or luxloop doctor to see who is there",
     "worker_lost": "the task was set aside; see the workers' logs, and luxloop doctor",
     "timed_out": "give the task a higher limit, or ask for less at once",
 }
+
+
+RUN_LIMIT_S, OF_BUDGET = 3600.0, 6.0  # of a run's task, or so many times its budget: what is longer hangs
+
+
+def run_limit_s(task: Task) -> float:
+    """How long a worker may compute a task of a run: an evaluation's budget is seconds, a day would be lost on one
+    that hangs, as in an endless loop of a user's effect."""
+    budget_s = task.inputs.get("budget_s")
+    return max(RUN_LIMIT_S, OF_BUDGET * budget_s if isinstance(budget_s, int | float) else 0.0)
 
 
 def failure_of(finish: Finish, kind: str, limit_s: float, last: Failure | None) -> Failure:

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from env_controller.actions import Want
-from env_controller.dispatcher import ORPHAN_S, RUN_LIMIT_S, Dispatcher
+from env_controller.dispatcher import ORPHAN_S, Dispatcher
+from env_controller.outcomes import RUN_LIMIT_S
 from luxloop import __version__
 from luxloop.bus import Event, Heard, Presence
 from luxloop.bus.frame import HEADER_BYTES, decode, encode

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from env_controller.dispatcher import OF_BUDGET, RUN_LIMIT_S, run_limit_s
-from env_controller.outcomes import Results
+from env_controller.outcomes import OF_BUDGET, RUN_LIMIT_S, Results, run_limit_s
 from luxloop import __version__
 from luxloop.messages import Task
 
