@@ -67,12 +67,14 @@ def test_amounts_are_found_by_as_many_histories_as_ever(plan: Plan, truth: Truth
 INTERRUPTED = """
 import os
 from time import sleep
+import signal
 from validation.blind_test.scenes import of_both
 
 def traced(half):
     os.write(1, b"begun\\n")  # whole: what both threads print may be mixed
     sleep(600.0)
 
+signal.signal(signal.SIGINT, signal.default_int_handler)  # where tests run in the background it is ignored
 of_both(traced)
 """
 
