@@ -9,7 +9,7 @@ help:
 	@echo "make test       set up, run all tests"
 	@echo "make test-fast  the same without the slow ones"
 	@echo "make lint       ruff, mypy, import rules"
-	@echo "make bench      every benchmark, one table each (hours, all together)"
+	@echo "make bench      every benchmark, one table each"
 
 run: .venv/.run
 	@echo "a design campaign of about a minute, on real worker processes"

@@ -64,7 +64,7 @@ def compare(
     from agent.comparison import compare as compared
     from agent.comparison import refuse_own, rows
     from agent.config import read_campaign
-    from agent.designers import NAMES, SEARCHES
+    from agent.designers import NAMES, SEARCHES, WITHOUT_START
     from agent.launch import launch, running_set, warn
 
     names = [name.strip() for name in designers.split(",") if name.strip()]
@@ -81,6 +81,9 @@ def compare(
     searches = ", ".join(name for name in names if name in SEARCHES)
     if campaign.stop.episodes_without_gain is not None and searches and not quiet:
         warn(f"{config}: stop.episodes_without_gain is not used by {searches}: they have no episodes")
+    idle = ", ".join(name for name in names if name in WITHOUT_START)
+    if campaign.start is not None and idle and not quiet:
+        warn(f"{config}: start is not used by {idle}: they look everywhere")
     for field in UNUSED if config and not quiet else ():
         if field in campaign.model_fields_set:
             warn(f"{config}: {field} = {getattr(campaign, field)!r} is not used: {UNUSED[field]}")

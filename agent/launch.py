@@ -26,6 +26,7 @@ from agent.in_words import plain
 from agent.live import live
 from agent.moves import Key, Space, start_of
 from agent.progress import WALK, Found, Past, Progress
+from agent.telling import run_argument
 from agent.waiting import workers_watched
 from luxloop import __version__
 from luxloop.bus import Interrupt
@@ -131,7 +132,7 @@ class Start:
             self._begun(client) as door,
             workers_watched(client, warn if self.say else lambda _: None),
             live(self.show, plan.run, campaign.stop.evaluations, client) as look,
-            to_go_on_with(f"luxloop campaign resume {plan.run}"),
+            to_go_on_with(f"luxloop campaign resume {run_argument(Path(door.begun.folder))}"),
         ):
             door.on_lost = lost(self.show)
             if self.say:

@@ -8,7 +8,7 @@ from typing import Any
 
 from agent.in_words import plain
 from agent.recorded import begun_by, object_in
-from agent.telling import named
+from agent.telling import run_argument
 from luxloop.journal.reader import RunJournal
 from luxloop.journal.topics import VALIDATION
 
@@ -49,7 +49,7 @@ def overview(folder: Path) -> dict[str, Any]:
 def _mend(facts: Mapping[str, str], folder: Path) -> str:
     """The command that goes on with a campaign or a grid; no other run can be gone on with: its own, given again."""
     if facts.get("kind") != VALIDATION:
-        return f"luxloop campaign resume {named(folder)}"
+        return f"luxloop campaign resume {run_argument(folder)}"
     return begun_by(object_in(facts.get("facts") or "{}", "facts"))
 
 

@@ -28,7 +28,7 @@ def tell(launched: Launched, as_json: bool, page: Path | None = None) -> None:
         typer.echo("\n".join(as_text(document)))
     if launched.interrupted:
         if as_json:
-            again = named(Path(document["folder"]))
+            again = run_argument(Path(document["folder"]))
             sys.stderr.write(f"interrupted; to go on: luxloop campaign resume {again}\n")
         raise typer.Exit(INTERRUPTED)
     if document["best"] is None:
@@ -61,7 +61,7 @@ def as_text(document: dict[str, Any]) -> list[str]:
         lines.append(f"gained       {gain:+.2f} +- {error:.2f} points over the start")
     lines.append(f"journal      {document['folder']}: {document['records']} records, root {document['root']}")
     if document["interrupted"]:
-        lines.append(f"next         luxloop campaign resume {named(Path(document['folder']))}")
+        lines.append(f"next         luxloop campaign resume {run_argument(Path(document['folder']))}")
     elif "report" in document:
         lines.append(f"report       {document['report']}")
     else:
@@ -70,7 +70,7 @@ def as_text(document: dict[str, Any]) -> list[str]:
     return lines
 
 
-def named(folder: Path) -> str:
+def run_argument(folder: Path) -> str:
     """How a run to go on with is named: by its id, and by its folder of runs where that is not where one looks."""
     near = folder.resolve().parent == load_settings().runs_dir.resolve()
     return folder.name if near else f"{folder.name} --runs {shlex.quote(str(folder.resolve().parent))}"

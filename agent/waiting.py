@@ -17,10 +17,13 @@ SAY_S = 60.0
 
 
 @contextmanager
-def workers_watched(client: Client, tell: Callable[[str], None], look_s: float = LOOK_S) -> Iterator[None]:
+def workers_watched(
+    client: Client, tell: Callable[[str], None], look_s: float = LOOK_S, say_s: float = SAY_S
+) -> Iterator[None]:
     """While inside, `tell` hears which kind of worker the run waits for; nothing where both are there."""
     left = threading.Event()
-    thread = threading.Thread(target=_watch, args=(client, tell, left, look_s), name="workers-watched", daemon=True)
+    watch = (client, tell, left, look_s, say_s)
+    thread = threading.Thread(target=_watch, args=watch, name="workers-watched", daemon=True)
     thread.start()
     try:
         yield
@@ -29,7 +32,7 @@ def workers_watched(client: Client, tell: Callable[[str], None], look_s: float =
         thread.join()
 
 
-def _watch(client: Client, tell: Callable[[str], None], left: threading.Event, look_s: float) -> None:
+def _watch(client: Client, tell: Callable[[str], None], left: threading.Event, look_s: float, say_s: float) -> None:
     seen_s, told_s = dict.fromkeys(KINDS, time.monotonic()), dict.fromkeys(KINDS, time.monotonic())
     while not left.wait(look_s):
         try:
@@ -40,7 +43,7 @@ def _watch(client: Client, tell: Callable[[str], None], left: threading.Event, l
         for kind in KINDS:
             if kind in there:
                 seen_s[kind] = told_s[kind] = now_s
-            elif now_s - told_s[kind] >= SAY_S * min(look_s / LOOK_S, 1.0):
+            elif now_s - told_s[kind] >= say_s:
                 told_s[kind] = now_s
                 waited_s = now_s - seen_s[kind]
                 tell(f"no {kind} worker for {waited_s:.0f} s: the run waits for one (luxloop doctor says more)")

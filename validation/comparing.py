@@ -39,7 +39,7 @@ REGIONS = 20
 MOST_MODEL_NOISE = 0.3
 """Of a far field's Monte Carlo, rms in the measurement's sigma: its noise is not told to the fit, as that of images
 is, so a tenth of the variance is all that it may have."""
-FAR_BINS = 64, 32
+FAR_BINS = 64, 64
 """Rows and columns of the worker's far fields, over the upper half."""
 NULLS = "nulls"
 """Folder in the cache: the distribution of noise after a fit depends on its layout, not on its data."""

@@ -30,7 +30,6 @@ CREATE TABLE uses (sha256 TEXT PRIMARY KEY, bytes INTEGER NOT NULL, used_unix_s 
 CREATE TABLE films (key TEXT PRIMARY KEY, sha256 TEXT NOT NULL) WITHOUT ROWID;
 CREATE INDEX films_by_blob ON films (sha256)
 """
-BYTES = "CAST(bytes AS INTEGER)"  # a damaged page may hold anything
 PAGE_BYTES = 16384
 CHECKPOINT_PAGES = 256
 WAL_BYTES = 16 << 20
@@ -140,7 +139,8 @@ class FilmDatabase:
         return sha256
 
     def _entries(self) -> list[tuple[str, str, int]]:
-        query = f"SELECT key, sha256, {BYTES} FROM films JOIN uses USING (sha256) ORDER BY key"  # noqa: S608  # ours
+        """Sizes as numbers: a damaged page may hold anything."""
+        query = "SELECT key, sha256, CAST(bytes AS INTEGER) FROM films JOIN uses USING (sha256) ORDER BY key"
         return [(str(key), str(sha256), size) for key, sha256, size in self._connection.execute(query)]
 
     def _drop(self, sha256: str) -> None:
@@ -158,10 +158,10 @@ class FilmDatabase:
             self._note_uses(time.time())
 
     def _evict(self, keep: str) -> None:
-        (total,) = self._connection.execute(f"SELECT sum({BYTES}) FROM uses").fetchone()  # noqa: S608  # ours
+        (total,) = self._connection.execute("SELECT sum(CAST(bytes AS INTEGER)) FROM uses").fetchone()
         if total <= self._max_bytes:
             return
-        query = f"SELECT sha256, {BYTES} FROM uses WHERE sha256 != ? ORDER BY used_unix_s"  # noqa: S608  # ours
+        query = "SELECT sha256, CAST(bytes AS INTEGER) FROM uses WHERE sha256 != ? ORDER BY used_unix_s"
         for sha256, size in self._connection.execute(query, (keep,)).fetchall():
             self._drop(sha256)
             total -= size

@@ -20,6 +20,7 @@ from agent.moves import Profile, Space, key_of
 from luxloop.design import Bounds, Design
 from luxloop.errors import InputError
 from luxloop.words import parse
+from tests.agent.test_campaign import Door, found
 from tests.agent.walking import PLANE, Function, Told, action_of, designs, drive
 from tests.objectives import BOUNDS, ENVIRONMENT, Controller
 
@@ -273,3 +274,11 @@ def test_hyper_parameters_out_of_range_are_named() -> None:
     ):
         with pytest.raises(InputError, match=next(iter(wrong))):
             parse(Learning, wrong)
+
+
+def test_the_papers_target_network_is_never_copied_in_a_short_campaign() -> None:
+    """As docs/campaigns.md says: about one update a design, and a copy every 500."""
+    designer = found(Door(), "ddqn-paper", lanes=4, evaluations=200)[1].designer
+    assert isinstance(designer, DoubleDqn)
+    assert designer.learner is not None
+    assert 150 < designer.learner.updates < designer.learning.target_period == 500

@@ -14,7 +14,7 @@ from agent import launch as launch_module
 from agent.config import Campaign, read_campaign
 from agent.designers import SEARCHES, WITHOUT_START
 from agent.launch import Launched, refuse_unready, to_go_on_with
-from agent.telling import as_text, named, tell
+from agent.telling import as_text, run_argument, tell
 from agent.waiting import workers_watched
 from luxloop.campaign import Ended
 from luxloop.client import Client
@@ -100,8 +100,8 @@ def test_an_option_over_what_is_no_table_names_it(tmp_path: Path) -> None:
 def test_a_run_elsewhere_is_named_with_its_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """So that the command that goes on with it finds it."""
     monkeypatch.setenv("LUXLOOP_RUNS", str(tmp_path / "here"))
-    assert named(load_settings().runs_dir / "one") == "one"
-    assert named(tmp_path / "a b" / "one") == f"one --runs '{tmp_path / 'a b'}'"
+    assert run_argument(load_settings().runs_dir / "one") == "one"
+    assert run_argument(tmp_path / "a b" / "one") == f"one --runs '{tmp_path / 'a b'}'"
 
 
 class Watched:
@@ -129,7 +129,7 @@ def test_a_run_that_waits_for_a_worker_says_so() -> None:
     """Of which kind, again and again; not while both are there, nor where nobody knows."""
     told: list[str] = []
     watched = Watched()
-    with workers_watched(cast(Client, watched), told.append, look_s=0.01):
+    with workers_watched(cast(Client, watched), told.append, look_s=0.01, say_s=0.04):
         watched.looks(5)
         assert told == []
         watched.away = True

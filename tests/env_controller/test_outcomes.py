@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import pytest
+
+from env_controller.actions import Want
 from env_controller.outcomes import OF_BUDGET, RUN_LIMIT_S, Results, run_limit_s
 from luxloop import __version__
-from luxloop.messages import Task
+from luxloop.messages import Lease, Outcome, Pending, Task
+from tests.env_controller.test_dispatcher import OTHER, TASK, Desk
 
 
 def test_a_failure_is_for_those_who_waited_for_it_and_for_a_while() -> None:
@@ -42,3 +46,18 @@ def test_a_task_that_hangs_ends_in_hours_not_in_a_day() -> None:
 
     assert limit_s() == limit_s(budget_s=600.0) == RUN_LIMIT_S
     assert limit_s(budget_s=1800.0) == OF_BUDGET * 1800.0
+
+
+def test_a_run_waits_for_a_worker_as_long_as_it_takes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A failure would be a step on record, which no resume tries again: workers may be away for a night. What a
+    client asked for by itself ends after its patience."""
+    desk = Desk(monkeypatch)
+    impatient = desk.submit(OTHER)
+    desk.controller._want(Want("one", TASK))
+    desk.wait(1000.0)
+    assert isinstance(impatient.message, Outcome | Pending)
+    assert desk.status().queued == {"film": 1}
+    desk.hello()
+    lease = desk.pull().message
+    assert isinstance(lease, Lease)
+    assert lease.task == TASK

@@ -5,7 +5,6 @@ from __future__ import annotations
 import pytest
 
 from env_controller import events as e
-from env_controller.dispatcher import RUN_PATIENCE_S
 from tests.env_controller.stories import A, B, Story
 
 
@@ -272,15 +271,6 @@ def test_patience_ends_a_task_that_no_worker_comes_for() -> None:
     served.join()
     served.submit(patience_s=5.0)
     assert served.core.handle(e.Tick(500.0)) == []
-
-
-def test_a_run_waits_for_a_worker_as_long_as_it_takes() -> None:
-    """A failure would be a step on record, which no resume tries again: workers may be away for a night."""
-    story = Story()
-    story.submit(patience_s=RUN_PATIENCE_S)
-    assert story.core.handle(e.Tick(1e6)) == []
-    story.join()
-    assert story.granted() == A
 
 
 @pytest.mark.parametrize("in_hand", [False, True])

@@ -82,7 +82,8 @@ def codes(document: Document) -> Iterator[str]:
     """By how many states of the sources verdicts were given, where that is not one."""
     known, unknown = len(document["codes"]), document["without_code"]
     if known > 1 or (known and unknown):
-        yield f"UNLIKE verdicts: given by {known + bool(unknown)} states of luxloop's sources."
+        count = f"at least {known + 1}" if unknown else f"{known}"
+        yield f"UNLIKE verdicts: given by {count} states of luxloop's sources."
     if unknown:
         yield f"{unknown} records are of before such a state was put down."
 

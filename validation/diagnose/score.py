@@ -291,7 +291,12 @@ def _p(drawn: Real, drop: float, shapes: int) -> float:
     above = int(np.sum(drawn >= drop))
     if above >= LEAST_ABOVE or drop == 0.0:
         return (1 + above) / (1 + len(drawn))
-    return float(min(1.0, shapes * 2.0 * np.exp(log_ndtr(-(max(drop, 0.0) ** 0.5)))))
+    return float(_reckoned(np.array(drop), shapes))
+
+
+def _reckoned(drops: Real, shapes: int) -> Real:
+    """Chance of chi2 drops of one degree of freedom, for each of so many shapes."""
+    return np.asarray(np.minimum(1.0, shapes * 2.0 * np.exp(log_ndtr(-np.sqrt(np.maximum(drops, 0.0))))))
 
 
 def _own_ps(values: Real, shapes: int) -> Real:
@@ -299,5 +304,4 @@ def _own_ps(values: Real, shapes: int) -> Real:
     order = np.sort(values)
     above = len(values) - np.searchsorted(order, values, side="left") - 1
     counted = (1.0 + above) / len(values)
-    reckoned = np.minimum(1.0, shapes * 2.0 * np.exp(log_ndtr(-np.sqrt(np.maximum(values, 0.0)))))
-    return np.asarray(np.where((above >= LEAST_ABOVE) | (values == 0.0), counted, reckoned))
+    return np.asarray(np.where((above >= LEAST_ABOVE) | (values == 0.0), counted, _reckoned(values, shapes)))

@@ -135,7 +135,8 @@ class Evaluation:
             for image, one in zip(self.problem.images, self.predicted, strict=True)
         ]
         sigmas = tuple(self._curve_sigma(k) for k in range(len(self.predicted_curves)))
-        runs = [run_of(image.sample, self.model) for image in self.problem.images]
+        at = self.model if self.problem.anchor is None else self.problem.anchor.model  # whose histories they are
+        runs = [run_of(image.sample, at) for image in self.problem.images]
         blocks = noise_blocks(white, runs, noise)
         return replace(white, noise=blocks, curve_sigma=sigmas)
 

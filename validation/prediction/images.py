@@ -170,7 +170,8 @@ def predict(wanted: Wanted, views: Sequence[View], ask: Ask) -> list[Predicted]:
                 columns = found[n].jacobian_per_mm2
                 columns[path] = columns.get(path, 0.0) + weight * _real(image)
     found = {number: replace(one, of_all_light=frozenset(wanted.of_all_light)) for number, one in found.items()}
-    runs = [run_of(view.sample, wanted.model) for view in views]
+    at_model = wanted.model if wanted.anchor is None else wanted.anchor.model  # whose histories the noise is of
+    runs = [run_of(view.sample, at_model) for view in views]
     for run in set(runs):
         parts = [[n for n in group if runs[n] == run] for group in groups]
         found |= _told_apart(found, [part for part in parts if part])

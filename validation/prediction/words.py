@@ -48,7 +48,7 @@ class Pose:
 def run_of(sample: Sample, model: Model) -> str:
     """Equal for samples whose images are seen by the same histories: modules of the same numbers, whatever their ids.
 
-    One that has effects of its own in the model is a module of its own.
+    `model`: of the anchor, whose histories they are. A sample with effects of its own there is a module of its own.
     """
     return sample.id if sample.id in model.samples else sample.model_copy(update={"id": ""}).model_dump_json()
 

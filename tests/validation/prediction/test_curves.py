@@ -14,6 +14,7 @@ from luxloop.errors import InputError
 from luxloop.model import Fit, Model
 from tests.validation.prediction.views import LOSS, SINGLE
 from tests.validation.workers import Workers
+from validation.comparing import FAR_BINS
 from validation.dataset.manifest import FilmLayer, FilmSample
 from validation.fit.curves import curve_of
 from validation.prediction import Curve, FarView, Predictor
@@ -135,6 +136,7 @@ def test_a_far_field_is_the_modules(workers: Workers, model: Model) -> None:
     weight = np.sin(np.radians(theta)) * np.radians(1.0) * np.radians(10.0)
     stated = workers.run(workers.of_kind("ray")[-1]).result["far_field"]["module"]["flux_ratio"]["value"]
     assert (found.value * weight).sum() == pytest.approx(stated, rel=0.02)
+    assert workers.run(workers.of_kind("ray")[-1]).arrays["far_module_per_sr"].shape == FAR_BINS
     assert found.error is not None
     assert 0.0 < found.error.mean() < 0.2 * found.value.mean()
     assert (found.jacobian[LOSS] * weight).sum() < 0.0  # more loss, less light
