@@ -66,6 +66,7 @@ def compare(
     from agent.config import read_campaign
     from agent.designers import NAMES, SEARCHES, WITHOUT_START
     from agent.launch import launch, running_set, warn
+    from luxloop.model_file import find_model
 
     names = [name.strip() for name in designers.split(",") if name.strip()]
     for name in names or [designers]:
@@ -90,13 +91,14 @@ def compare(
     if "evaluations" not in campaign.stop.model_fields_set:
         stop = campaign.stop.model_copy(update={"evaluations": EVALUATIONS})
         campaign = campaign.model_copy(update={"stop": stop})
+    chosen = find_model(model)
     show = sys.stderr.isatty() and not (as_json or quiet)
     begun = f"{datetime.now(UTC):%Y%m%d-%H%M%S}"
     with running_set(settings, local=not no_local) as shared:
         ended: list[str] = []
 
         def run(one: Campaign, name: str) -> tuple[Found, Any]:
-            launched = launch(shared, one, model, f"{begun}-{name}", local=False, show=show)
+            launched = launch(shared, one, model, f"{begun}-{name}", chosen=chosen, local=False, show=show)
             if launched.interrupted:
                 runs = ", ".join(ended) or "none"
                 warn(f"interrupted: a comparison cannot be gone on with. Runs that ended: {runs} (campaign report)")

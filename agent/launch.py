@@ -78,6 +78,7 @@ def launch(
     model: str,
     run: str | None = None,
     *,
+    chosen: Model | None = None,
     kind: Literal["campaign", "grid"] = "campaign",
     local: bool = True,
     show: bool = False,
@@ -85,11 +86,12 @@ def launch(
 ) -> Launched:
     """Run a campaign to its end. Ctrl-C ends the walk after the steps under way; the journal is finished.
 
+    `model` is a name or a file; it is not read where `chosen` is what was read of it before.
     `show` draws a live table on the terminal, `say` tells the run's id and folder at its start.
 
     Raises InputError for settings that do not fit, RemoteError where the controller refuses or cannot be reached.
     """
-    chosen = find_model(model)
+    chosen = chosen or find_model(model)
     name = run or f"{datetime.now(UTC):%Y%m%d-%H%M%S}-{campaign.designer}"
     refuse_taken_id(settings, name, local)
     plan = campaign.plan(name, chosen, model, kind=kind)

@@ -75,13 +75,14 @@ class MeasuredImage:
         return self.variance_dn2(predicted_dn) + (self.prnu * predicted_dn) ** 2
 
     def may_be_clipped(self, predicted_dn: Real) -> NDArray[np.bool_]:
-        """Where the mean of several frames may hide a saturated one: predicted mean + 3 sigma of a frame passes it.
+        """Where noise may have decided whether a pixel counts: predicted mean + 3 sigma of a frame passes saturation.
 
-        Takes the predicted signal (..., row, column) in DN; nothing is flagged where there is only one frame. Within
-        a bin the signal is taken for flat.
+        The mean of several frames hides a clipped one there. Of a single frame with saturated pixels those that noise
+        made darker are left over there, and are too dark on average; nothing is flagged in one without.
+        Takes the predicted signal (..., row, column) in DN. Within a bin the signal is taken for flat.
         """
         frames, camera = self.shot.frames_averaged, self.camera
-        if frames == 1:
+        if frames == 1 and self.saturated == 0:
             return np.zeros(np.shape(predicted_dn), np.bool_)
         flat = camera.gain_dn_per_e / (frames * self.binning**2 * self.slope_dn)  # slope = K mean(1/f) / (n b^2)
         raw = np.maximum(predicted_dn, 0.0) * flat

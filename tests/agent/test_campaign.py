@@ -8,6 +8,7 @@ import time
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -27,7 +28,7 @@ from luxloop.design import Bounds, Design
 from luxloop.errors import InputError
 from luxloop.failure import Failure
 from luxloop.model import Model
-from luxloop.model_file import find_model
+from luxloop.model_file import find_model, to_toml
 from tests.objectives import Controller
 
 BOUNDS = Bounds.preset("paper-table3")
@@ -467,6 +468,24 @@ def test_a_comparison_tells_what_of_its_file_is_not_used(
     told = capsys.readouterr().err
     assert "designer = 'pattern' is not used: --designers" in told
     assert "seed = 7 is not used: each designer runs with the seeds 1 to --seeds" in told
+
+
+def test_designers_are_compared_by_one_model(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A file that is edited while they run is not read again."""
+    path, used = tmp_path / "mine.toml", []
+    path.write_text(to_toml(find_model("paper")))
+
+    def begun(_: object, campaign: Campaign, model: str, run: str, *, chosen: Model, **options: object) -> object:
+        path.write_text(to_toml(find_model("clear_chip")))
+        used.append((model, chosen))
+        found = SimpleNamespace(progress=SimpleNamespace(episodes=0))
+        return SimpleNamespace(interrupted=len(used) > 1, run=run, found=found, walk=())
+
+    monkeypatch.setattr("agent.launch.running_set", lambda *_, **__: nullcontext())
+    monkeypatch.setattr("agent.launch.launch", begun)
+    with pytest.raises(KeyboardInterrupt):
+        designers_command.compare(designers="random,pattern", model=str(path), seeds=1)
+    assert used == [(str(path), find_model("paper"))] * 2
 
 
 def test_bounds_without_a_feasible_design_are_refused() -> None:

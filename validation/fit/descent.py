@@ -47,7 +47,7 @@ def refitted(problem: Problem, values: Real, most: int = MAX_ITERATIONS, below: 
 
 
 def unclipped(problem: Problem, values: Real, done: int = 0, most: int = MAX_ITERATIONS) -> Fit:
-    """The optimum, without pixels whose mean of several frames may hide a clipped one (their mean is too low)."""
+    """The optimum, without pixels that may have been clipped, or been kept because noise made them darker."""
     found = _descend(problem, values, done, most)
     images = []
     for image, signal_dn in zip(problem.images, found.signals_dn, strict=True):
