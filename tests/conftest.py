@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import os
 import socket
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -15,6 +13,8 @@ import pytest
 from luxloop.bus import Bus
 from luxloop.bus.zenoh_bus import ZenohBus
 from luxloop.settings import Settings, as_environment
+from tests import forks
+from tests.forks import Process
 from tests.local_bus import LocalBus, LocalRouter
 
 
@@ -34,12 +34,12 @@ def wait_for(condition: Callable[[], object], what: str, limit_s: float = 20.0) 
         time.sleep(0.02)
 
 
-def start(settings: Settings, *argv: str) -> subprocess.Popen[bytes]:
+def start(settings: Settings, *argv: str) -> Process:
     """A process of this Python with the settings in its environment."""
-    return subprocess.Popen([sys.executable, *argv], env=as_environment(settings), stdin=subprocess.DEVNULL)
+    return forks.start(*argv, env=as_environment(settings))
 
 
-def stop(process: subprocess.Popen[bytes]) -> None:
+def stop(process: Process) -> None:
     """End a process for certain."""
     process.kill()
     process.wait(10)
@@ -77,7 +77,7 @@ def settings(tmp_path: Path) -> Settings:
 
 
 @pytest.fixture
-def router(settings: Settings) -> Iterator[subprocess.Popen[bytes]]:
+def router(settings: Settings) -> Iterator[Process]:
     """A real router process at `settings.router`."""
     process = start(settings, "-m", "luxloop", "serve", "router")
     try:

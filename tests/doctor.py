@@ -3,23 +3,15 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from typing import Any
 
 from luxloop.settings import Settings, as_environment
+from tests.forks import luxloop
 
 
 def doctor(settings: Settings, *argv: str) -> tuple[int, dict[str, dict[str, Any]]]:
     """Its exit code, and what it found by what it looked at."""
-    done = subprocess.run(
-        [sys.executable, "-m", "luxloop", "doctor", "--json", *argv],
-        env=as_environment(settings),
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-    )
+    done = luxloop("doctor", "--json", *argv, env=as_environment(settings))
     assert done.stdout, done.stderr
     return done.returncode, {finding["what"]: finding for finding in json.loads(done.stdout)["findings"]}
 

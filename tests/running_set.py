@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -10,6 +9,7 @@ from luxloop.client import Client
 from luxloop.errors import RemoteError
 from luxloop.settings import Settings
 from tests.conftest import start, stop, wait_for
+from tests.forks import Process
 
 
 class RunningSet:
@@ -19,15 +19,15 @@ class RunningSet:
         self.settings = settings
         self.router = self.start_router()
         self.controller = start(settings, "-m", "luxloop", "serve", "controller", "--quiet")
-        self.workers: list[subprocess.Popen[bytes]] = []
+        self.workers: list[Process] = []
         wait_for(self._answers, "the controller")
         self.client = Client(settings, local=False)
 
-    def start_router(self) -> subprocess.Popen[bytes]:
+    def start_router(self) -> Process:
         """A router process; a second one after the first was killed."""
         return start(self.settings, "-m", "luxloop", "serve", "router", "--quiet")
 
-    def add(self, *argv: str) -> subprocess.Popen[bytes]:
+    def add(self, *argv: str) -> Process:
         """One more worker process."""
         self.workers.append(start(self.settings, *argv))
         return self.workers[-1]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
@@ -14,6 +13,7 @@ from luxloop.endpoint import listening
 from luxloop.errors import RemoteError
 from luxloop.settings import Settings
 from tests.conftest import free_endpoint, start, stop, wait_for
+from tests.forks import Process
 
 PRETEND = str(Path(__file__).with_name("pretend_worker.py"))
 DAY = timedelta(days=1)
@@ -88,7 +88,7 @@ class SecuredSet:
         for process in reversed(self.processes):
             stop(process)
 
-    def _start(self, role: str, *argv: str) -> subprocess.Popen[bytes]:
+    def _start(self, role: str, *argv: str) -> Process:
         return start(self.with_certs(self.certs / role), *argv)
 
     def _answers(self) -> bool:

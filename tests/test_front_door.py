@@ -19,6 +19,7 @@ import pytest
 from luxloop import __version__
 from luxloop.cli import main
 from luxloop.settings import Settings, as_environment
+from tests import forks
 from tests.conftest import free_endpoint, processes_at, processes_with, start, wait_for
 
 Refused = Callable[..., tuple[object, str, str]]
@@ -47,14 +48,7 @@ def nobody(settings: Settings) -> Settings:
 
 def luxloop(settings: Settings, *argv: str, **environment: str) -> subprocess.CompletedProcess[str]:
     """`luxloop ARGV` as a process of its own."""
-    return subprocess.run(
-        [sys.executable, "-m", "luxloop", *argv],
-        env=as_environment(settings) | {"NO_COLOR": "1"} | environment,
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-    )
+    return forks.luxloop(*argv, env=as_environment(settings) | {"NO_COLOR": "1"} | environment)
 
 
 @pytest.fixture

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -30,6 +28,7 @@ from luxloop.model_file import find_model, parse_toml, to_toml
 from luxloop.ray import RayRequest
 from luxloop.settings import Settings, as_environment
 from luxloop.words import canonical
+from tests import forks
 from tests.conftest import free_endpoint, wait_for
 from tests.running_set import RunningSet
 
@@ -86,10 +85,7 @@ def model_file(at: RunningSet, name: str, *effects: AppliedEffect) -> str:
 
 def luxloop(at: RunningSet, *argv: str) -> subprocess.CompletedProcess[str]:
     """A command on the running set, in the folder that holds all."""
-    return subprocess.run(
-        [sys.executable, "-m", "luxloop", *argv], cwd=at.settings.effects.parent, capture_output=True, text=True,
-        env=os.environ | as_environment(at.settings), timeout=300.0,
-    )  # fmt: skip
+    return forks.luxloop(*argv, env=as_environment(at.settings), cwd=at.settings.effects.parent)
 
 
 def said(at: RunningSet, *argv: str) -> dict[str, Any]:

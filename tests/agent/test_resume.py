@@ -7,7 +7,6 @@ import os
 import shutil
 import signal
 import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -32,6 +31,7 @@ from luxloop.journal.reader import RunJournal
 from luxloop.journal.topics import CHAIN
 from luxloop.model_file import find_model, to_toml
 from luxloop.settings import Settings, as_environment
+from tests import forks
 from tests.conftest import start, stop, wait_for
 from tests.running_set import RunningSet
 
@@ -51,13 +51,10 @@ def running(settings: Settings) -> Iterator[RunningSet]:
     made.close()
 
 
-def begun(running: RunningSet, run: str, *more: str) -> subprocess.Popen[str]:
+def begun(running: RunningSet, run: str, *more: str) -> subprocess.Popen[str] | forks.Telling:
     """A campaign as a process of its own."""
     argv = ("campaign", "run", "--no-local", "--id", run, "--evaluations", str(EVALUATIONS), "--json", *more)
-    return subprocess.Popen(
-        [sys.executable, "-m", "luxloop", *argv], env=as_environment(running.settings), text=True,
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-    )  # fmt: skip
+    return forks.begin(*argv, env=as_environment(running.settings))
 
 
 def undisturbed(running: RunningSet, run: str = "calm", **changes: Any) -> Launched:

@@ -23,7 +23,9 @@ from luxloop.errors import InputError, LuxloopError, RemoteError
 from luxloop.journal.reader import RunJournal
 from luxloop.model_file import find_model
 from luxloop.settings import Settings, as_environment
+from tests import forks
 from tests.conftest import wait_for
+from tests.forks import Process
 from tests.running_set import RunningSet
 
 PRETEND = str(Path(__file__).parents[1] / "pretend_worker.py")
@@ -32,7 +34,7 @@ PRETEND = str(Path(__file__).parents[1] / "pretend_worker.py")
 class Set(RunningSet):
     """A set with workers that pretend."""
 
-    def add_pretender(self, kind: str, nap_s: float = 0.0) -> subprocess.Popen[bytes]:
+    def add_pretender(self, kind: str, nap_s: float = 0.0) -> Process:
         """One more worker, once it has introduced itself."""
         worker = self.add(PRETEND, kind, str(nap_s))
         self.ready(len(self.workers))
@@ -181,13 +183,7 @@ def test_a_second_ctrl_c_waits_for_no_evaluation(running: Set) -> None:
 
 def luxloop(running: Set, *argv: str) -> subprocess.CompletedProcess[str]:
     """A command as a user gives it."""
-    return subprocess.run(
-        [sys.executable, "-m", "luxloop", *argv],
-        env=as_environment(running.settings),
-        capture_output=True,
-        text=True,
-        timeout=120,
-    )
+    return forks.luxloop(*argv, env=as_environment(running.settings))
 
 
 def test_commands_find_the_run(running: Set) -> None:
@@ -259,13 +255,7 @@ def test_two_designers_on_one_run_are_refused(running: Set) -> None:
 )
 def test_bad_options_are_named(argv: tuple[str, ...], said: str, settings: Settings) -> None:
     """Exit code 2 and the option's field, before any process is started."""
-    shown = subprocess.run(
-        [sys.executable, "-m", "luxloop", "campaign", "run", *argv],
-        env=as_environment(settings),
-        capture_output=True,
-        text=True,
-        timeout=60,
-    )
+    shown = forks.luxloop("campaign", "run", *argv, env=as_environment(settings))
     assert shown.returncode == 2, shown.stderr
     assert said in shown.stderr
 
@@ -300,10 +290,7 @@ def test_a_results_folder_that_is_a_file_is_named(running: Set) -> None:
 )
 def test_bad_options_of_other_commands_are_named(argv: tuple[str, ...], said: str, settings: Settings) -> None:
     """Exit code 2, before any process is started."""
-    shown = subprocess.run(
-        [sys.executable, "-m", "luxloop", *argv], env=as_environment(settings), capture_output=True, text=True,
-        timeout=60,
-    )  # fmt: skip
+    shown = forks.luxloop(*argv, env=as_environment(settings))
     assert shown.returncode == 2, shown.stderr
     assert said in shown.stderr
 
@@ -317,10 +304,7 @@ def test_bad_options_of_other_commands_are_named(argv: tuple[str, ...], said: st
 )
 def test_help_names_the_bounds_that_are_taken_without_any(command: str, said: str, settings: Settings) -> None:
     """A grid is the paper's entire loop, a campaign looks in Table 3."""
-    shown = subprocess.run(
-        [sys.executable, "-m", "luxloop", *command.split(), "--help"], capture_output=True, text=True, timeout=60,
-        env=as_environment(settings) | {"COLUMNS": "200"},
-    )  # fmt: skip
+    shown = forks.luxloop(*command.split(), "--help", env=as_environment(settings) | {"COLUMNS": "200"})
     assert said in shown.stdout
 
 
@@ -338,8 +322,7 @@ def test_a_damaged_run_does_not_hide_the_others(running: Set) -> None:
 def test_a_run_that_lies_elsewhere_is_told(running: Set, tmp_path: Path) -> None:
     """The set keeps its own folder: where it is, and the next command with its path."""
     elsewhere = {**as_environment(running.settings), "LUXLOOP_RUNS": str(tmp_path / "mine")}
-    argv = [sys.executable, "-m", "luxloop", "campaign", "run", "--id", "far", "--evaluations", "5", "--no-local"]
-    shown = subprocess.run(argv, env=elsewhere, capture_output=True, text=True, timeout=60)
+    shown = forks.luxloop("campaign", "run", "--id", "far", "--evaluations", "5", "--no-local", env=elsewhere)
     folder = running.settings.runs_dir / "far"
     assert f"keeps its runs elsewhere: {folder}" in shown.stderr
     assert f"luxloop campaign report {folder}" in shown.stdout

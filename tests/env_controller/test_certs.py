@@ -26,6 +26,7 @@ from luxloop.errors import InputError, LuxloopError
 from luxloop.settings import Settings, as_environment
 from tests.conftest import stop, wait_for
 from tests.doctor import ill
+from tests.forks import luxloop
 from tests.secured_set import free_tls_endpoint
 
 DAY = timedelta(days=1)
@@ -34,14 +35,7 @@ ROOT = Path(__file__).parents[2]
 
 def command(*argv: str, cwd: Path) -> subprocess.CompletedProcess[str]:
     """`luxloop certs ...` as a process of its own."""
-    return subprocess.run(
-        [sys.executable, "-m", "luxloop", "certs", *argv],
-        cwd=cwd,
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-    )
+    return luxloop("certs", *argv, cwd=cwd)
 
 
 def found_by_the_doctor(folder: Path, *argv: str) -> dict[str, dict[str, Any]]:

@@ -23,6 +23,7 @@ from luxloop.journal.journal import Journal
 from luxloop.journal.reader import RunJournal, segments_of, tail_of
 from luxloop.journal.topics import Close, log_record
 from luxloop.settings import as_environment
+from tests import forks
 from tests.env_controller.test_recover import ask, commits, in_segments, run, sound
 from tests.journals import ATTACHMENTS, METADATA, open_journal, put, records_of_step, write_run
 from tests.running_set import RunningSet
@@ -276,9 +277,7 @@ def test_a_segment_that_is_no_file_is_named(run: Path, kind: str) -> None:
 
 def luxloop(*argv: str, environment: dict[str, str] | None = None) -> subprocess.CompletedProcess[str]:
     """A command as a process of its own."""
-    return subprocess.run(
-        [sys.executable, "-m", "luxloop", *argv], env=environment, capture_output=True, text=True, timeout=60
-    )
+    return forks.luxloop(*argv, env=environment)
 
 
 @pytest.mark.slow

@@ -27,6 +27,7 @@ from luxloop.failure import Failure
 from luxloop.messages import Done, Heartbeat, Hello, Outcome, Pull, Receipt, Submit, Task
 from luxloop.settings import Settings
 from tests.conftest import handles, processes_with, start, stop, wait_for
+from tests.forks import Process
 from tests.running_set import RunningSet
 
 SLEEPY = str(Path(__file__).parents[1] / "sleepy_worker.py")
@@ -40,7 +41,7 @@ def task(what: str = "nothing", **inputs: float) -> Task:
 class Set(RunningSet):
     """A set with sleepy workers."""
 
-    def add_worker(self) -> subprocess.Popen[bytes]:
+    def add_worker(self) -> Process:
         """One more worker process."""
         return self.add(SLEEPY)
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-import subprocess
 import threading
 import time
 from collections.abc import Callable
@@ -20,6 +19,7 @@ from luxloop.failure import Failure
 from luxloop.messages import Nothing, StatusAsked
 from luxloop.settings import Settings
 from tests.conftest import start, stop, wait_for
+from tests.forks import Process
 
 NewBus = Callable[[], Bus]
 STATUS = at("luxloop", "status")
@@ -190,9 +190,7 @@ def test_presence_comes_and_goes(new_bus: NewBus) -> None:
     assert asker.present(expr) == {keys[0]}
 
 
-def test_who_is_there_is_not_said_where_the_router_does_not_answer(
-    router: subprocess.Popen[bytes], settings: Settings
-) -> None:
+def test_who_is_there_is_not_said_where_the_router_does_not_answer(router: Process, settings: Settings) -> None:
     """Stopped or gone: a failure, not "nobody", which would close the runs of designers that wait."""
     token = at("luxloop", "alive", role="designer", kind="designer", name="d1")
     with ZenohBus(settings) as designer, ZenohBus(settings) as asker:
@@ -250,7 +248,7 @@ def test_100_mb_to_a_zenoh_party_leave_it_alive(router: object, settings: Settin
         assert client.ask(STATUS, PING, 10.0) == b"fine"
 
 
-def test_everything_comes_back_after_a_router_restart(router: subprocess.Popen[bytes], settings: Settings) -> None:
+def test_everything_comes_back_after_a_router_restart(router: Process, settings: Settings) -> None:
     """Tokens and queryables of patient sessions work again after the router was killed and restarted."""
     token = at("luxloop", "alive", role="controller", kind="controller", name="c1")
     with ZenohBus(settings, patient=True) as server, ZenohBus(settings, patient=True) as client:

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
 import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -14,16 +12,14 @@ import pytest
 from luxloop.journal.reader import RunJournal
 from luxloop.model_file import read_model
 from luxloop.settings import Settings, as_environment
+from tests import forks
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "paper-like"
 
 
 def luxloop(settings: Settings, folder: Path, *argv: str) -> subprocess.CompletedProcess[str]:
     """A command of the house in a folder of its own; it starts the processes that it needs."""
-    environment = os.environ | as_environment(settings)
-    return subprocess.run(
-        [sys.executable, "-m", "luxloop", *argv], cwd=folder, env=environment, capture_output=True, text=True
-    )
+    return forks.luxloop(*argv, env=as_environment(settings), cwd=folder, timeout=1200.0)
 
 
 @pytest.mark.slow

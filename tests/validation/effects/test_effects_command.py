@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 import subprocess
-import sys
 from collections.abc import Iterator
 from contextlib import nullcontext
 from pathlib import Path
@@ -20,6 +18,7 @@ from typer.testing import CliRunner
 
 from luxloop.model_file import find_model, to_toml
 from luxloop.settings import Settings, as_environment
+from tests import forks
 from tests.conftest import free_endpoint, wait_for
 from tests.running_set import RunningSet
 from validation import effects_command
@@ -59,11 +58,7 @@ def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningSet]:
 
 def luxloop(at: RunningSet, *argv: str) -> subprocess.CompletedProcess[str]:
     """A command on the running set, in the folder that holds all."""
-    environment = os.environ | as_environment(at.settings)
-    folder = at.settings.effects.parent
-    return subprocess.run(
-        [sys.executable, "-m", "luxloop", *argv], cwd=folder, env=environment, capture_output=True, text=True
-    )
+    return forks.luxloop(*argv, env=as_environment(at.settings), cwd=at.settings.effects.parent)
 
 
 def said(at: RunningSet, *argv: str) -> dict[str, Any]:
