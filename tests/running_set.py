@@ -52,20 +52,12 @@ class RunningSet:
 
 @contextmanager
 def local_set(settings: Settings) -> Iterator[None]:
-    """A set as `luxloop serve local` starts it, kept from command to command until the end of the block."""
-    process = start(settings, "-m", "luxloop", "serve", "local", "--quiet")
+    """The four processes of `luxloop serve local`, kept from command to command until the end of the block."""
+    running = RunningSet(settings)
     try:
-        wait_for(lambda: _workers(settings) == 2, "two workers", 60.0)
+        for role in ("thin-film", "ray-tracing"):
+            running.add("-m", "luxloop", "serve", role, "--quiet")
+        wait_for(lambda: len(running.client.status(5.0).workers) == 2, "two workers", 300.0)  # kernels are compiled
         yield
     finally:
-        process.terminate()
-        process.wait(30)
-
-
-def _workers(settings: Settings) -> int:
-    """How many answer."""
-    try:
-        with Client(settings, local=False) as client:
-            return len(client.status(1.0).workers)
-    except RemoteError:
-        return 0
+        running.close()

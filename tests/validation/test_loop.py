@@ -13,6 +13,7 @@ from luxloop.journal.reader import RunJournal
 from luxloop.model_file import read_model
 from luxloop.settings import Settings, as_environment
 from tests import forks
+from tests.running_set import local_set
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "paper-like"
 
@@ -34,7 +35,8 @@ def test_compare_then_where_over_real_processes(settings: Settings, tmp_path: Pa
     model = read_model(tmp_path / "model.toml")
     assert model.data is not None
     assert model.data.sha256 == document["dataset"]["sha256"]
-    looked = luxloop(settings, tmp_path, "where", "--twin", "--page", "where.html")
+    with local_set(settings):
+        looked = luxloop(settings, tmp_path, "where", "--twin", "--page", "where.html")
     assert looked.returncode == 0, looked.stderr
     assert document["sentence"] in looked.stdout
     assert "single-5.5" in (tmp_path / "where.html").read_text(encoding="utf-8")
