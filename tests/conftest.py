@@ -56,6 +56,11 @@ def handles(pid: int, number: int) -> bool:
     return bool(int(caught.split()[1], 16) >> (number - 1) & 1)
 
 
+def state_of(pid: int) -> str:
+    """The letter of a process's state: T, it was stopped (Linux)."""
+    return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0]
+
+
 def processes_with(setting: str) -> list[str]:
     """The processes with this `NAME=value` in their environment, this one excepted."""
     found = []

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import signal
 import threading
 import time
@@ -18,7 +17,7 @@ from luxloop.errors import RemoteError
 from luxloop.failure import Failure
 from luxloop.messages import Nothing, StatusAsked
 from luxloop.settings import Settings
-from tests.conftest import start, stop, wait_for
+from tests.conftest import start, state_of, stop, wait_for
 from tests.forks import Process
 
 NewBus = Callable[[], Bus]
@@ -197,7 +196,8 @@ def test_who_is_there_is_not_said_where_the_router_does_not_answer(router: Proce
         designer.announce(token)
         wait_for(lambda: asker.present(token) == {token}, "the token")
         router.send_signal(signal.SIGSTOP)
-        os.waitpid(router.pid, os.WUNTRACED)  # on a busy machine a thread of it goes on for a moment, and answers
+        # on a busy machine a thread of it goes on for a moment, and answers
+        wait_for(lambda: state_of(router.pid) == "T", "the router to stand still")
         try:
             assert failure_of(lambda: asker.present(token)).code == "timed_out"
         finally:

@@ -12,6 +12,7 @@ import pytest
 from luxloop.errors import InputError
 from luxloop.model_file import find_model
 from luxloop.settings import Settings
+from tests.running_set import local_set
 from tests.validation.blind_test.pretend import answer, change, folder_of, hiding, record
 from tests.validation.test_loop import luxloop
 from validation import blind_command
@@ -224,19 +225,20 @@ def test_a_blind_test_over_real_processes(settings: Settings, plan: Path, tmp_pa
     for path in (tmp_path / "out" / ANSWERS).glob("set-*.json"):
         (hidden,) = json.loads(path.read_text())["answer"]["hidden"]
         assert hidden["sigma"] == pytest.approx(12.0, rel=0.1)
-    few = ("--twin", "--among", "vignetting,nonlinearity,ambient_gradient")
-    judged = luxloop(settings, tmp_path, "blind", "diagnose", "out", *few, "--json")
-    assert judged.returncode == 0, judged.stderr
-    assert json.loads(judged.stdout)["judged"] == 2
-    path = tmp_path / "out" / "verdicts" / "set-2.json"
-    kept = path.read_bytes()
-    path.unlink()
-    lost = luxloop(settings, tmp_path, "blind", "diagnose", "out", *few)
-    assert (lost.returncode, "a verdict was taken away" in lost.stderr) == (2, True)
-    path.write_bytes(kept)
-    again = luxloop(settings, tmp_path, "blind", "diagnose", "out", *few)
-    assert "0 verdicts put on record, 2 were there" in again.stdout
-    assert path.read_bytes() == kept
+    few = ("--twin", "--among", "ambient_gradient")
+    with local_set(settings):
+        judged = luxloop(settings, tmp_path, "blind", "diagnose", "out", *few, "--json")
+        assert judged.returncode == 0, judged.stderr
+        assert json.loads(judged.stdout)["judged"] == 2
+        path = tmp_path / "out" / "verdicts" / "set-2.json"
+        kept = path.read_bytes()
+        path.unlink()
+        lost = luxloop(settings, tmp_path, "blind", "diagnose", "out", *few)
+        assert (lost.returncode, "a verdict was taken away" in lost.stderr) == (2, True)
+        path.write_bytes(kept)
+        again = luxloop(settings, tmp_path, "blind", "diagnose", "out", *few)
+        assert "0 verdicts put on record, 2 were there" in again.stdout
+        assert path.read_bytes() == kept
     scored = luxloop(settings, tmp_path, "blind", "score", "out", "--json", "--page", "score.html")
     assert scored.returncode == 0, scored.stderr
     document = json.loads(scored.stdout)
