@@ -99,7 +99,9 @@ def _dark() -> str:
 def _few_colours(png: bytes) -> bytes:
     """The same pixels with a palette where they have at most 256 colours and none is transparent: a third of it."""
     pixels = np.asarray(Image.open(BytesIO(png)).convert("RGBA"))
-    colours, number = np.unique(pixels.reshape(-1, 4), axis=0, return_inverse=True)
+    words = np.ascontiguousarray(pixels).view(">u4").astype(np.uint32)  # numbers are sorted faster than rows
+    found, number = np.unique(words, return_inverse=True)
+    colours = found.astype(">u4").view(np.uint8).reshape(-1, 4)
     if len(colours) > 256 or colours[:, 3].min() < 255:
         return png
     smaller = Image.fromarray(number.reshape(pixels.shape[:2]).astype(np.uint8), mode="P")
