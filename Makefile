@@ -16,7 +16,7 @@ run: .venv/.run
 	$(BIN)/luxloop run
 
 test: .venv/.dev
-	$(BIN)/python -m pytest -q -n 3 --dist loadfile --no-loadscope-reorder
+	$(BIN)/python -m pytest -q -n 2 --dist loadfile --no-loadscope-reorder
 
 test-fast: .venv/.dev
 	$(BIN)/python -m pytest -q -n 2 --dist loadfile -m "not slow"
