@@ -123,7 +123,7 @@ def begin(
 
 
 def luxloop(
-    *argv: str, env: Mapping[str, str] | None = None, cwd: Path | None = None, timeout: float = 300.0
+    *argv: str, env: Mapping[str, str] | None = None, cwd: Path | None = None, timeout: float = 60.0
 ) -> subprocess.CompletedProcess[str]:
     """`luxloop ARGV` to its end: exit code, and what it said. TimeoutExpired after `timeout` seconds."""
     process = begin(*argv, env=env, cwd=cwd)

@@ -85,7 +85,7 @@ def model_file(at: RunningSet, name: str, *effects: AppliedEffect) -> str:
 
 def luxloop(at: RunningSet, *argv: str) -> subprocess.CompletedProcess[str]:
     """A command on the running set, in the folder that holds all."""
-    return forks.luxloop(*argv, env=as_environment(at.settings), cwd=at.settings.effects.parent)
+    return forks.luxloop(*argv, env=as_environment(at.settings), cwd=at.settings.effects.parent, timeout=300.0)
 
 
 def said(at: RunningSet, *argv: str) -> dict[str, Any]:

@@ -183,7 +183,7 @@ def test_a_second_ctrl_c_waits_for_no_evaluation(running: Set) -> None:
 
 def luxloop(running: Set, *argv: str) -> subprocess.CompletedProcess[str]:
     """A command as a user gives it."""
-    return forks.luxloop(*argv, env=as_environment(running.settings))
+    return forks.luxloop(*argv, env=as_environment(running.settings), timeout=120.0)
 
 
 def test_commands_find_the_run(running: Set) -> None:

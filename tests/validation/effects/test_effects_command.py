@@ -58,7 +58,7 @@ def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningSet]:
 
 def luxloop(at: RunningSet, *argv: str) -> subprocess.CompletedProcess[str]:
     """A command on the running set, in the folder that holds all."""
-    return forks.luxloop(*argv, env=as_environment(at.settings), cwd=at.settings.effects.parent)
+    return forks.luxloop(*argv, env=as_environment(at.settings), cwd=at.settings.effects.parent, timeout=1200.0)
 
 
 def said(at: RunningSet, *argv: str) -> dict[str, Any]:
