@@ -89,6 +89,7 @@ class ShotRequest(Module):
     """A finite module, and the camera whose image of it is predicted."""
 
     camera: Camera = Field(Camera(), description="What it does before its gain; its sensor has no part in this.")
+    apart: str = Field("", max_length=256, description="Of an anchor: names a module that shares no random numbers.")
 
 
 class AnchorRequest(Words):

@@ -269,9 +269,9 @@ def _seed_of(asked: AnchorRequest, wanted: ShotRequest) -> str:
     """The seed of a module's run: another for each design, so that no two modules of an anchor share their noise.
 
     Nor, without stored exits, does any share histories with the exits that the twin lands. In another environment a
-    module keeps its seed.
+    module keeps its seed. One that is set apart shares none with a module of the same numbers.
     """
-    module = wanted.model_dump(mode="json", include={"design", "array"})
+    module = wanted.model_dump(mode="json", include={"design", "array"} | ({"apart"} if wanted.apart else set()))
     return str(int(sha256_of({"seed": asked.seed, "module": module})[:15], 16) % 10**18)
 
 

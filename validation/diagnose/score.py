@@ -7,8 +7,8 @@ that has the slope at off), whitened; p is what the fit's own parameters leave o
 
 Where something only shapes the effect (a length, a corner), the column is taken at each value of a grid, and the
 largest z counts. An effect on every chip of a module is a group: no single size, but a spread of sizes, tested by the
-energy of all its columns. Noise alone makes scores that are normal with the columns' own cosines, so the chance that
-any effect scores as well is counted in draws from exactly that.
+energy of all its columns, whose z is that of a normal number as rare. Noise alone makes scores that are normal with
+the columns' own cosines, so the chance that any effect scores as well is counted in draws from exactly that.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import gammaincc, gammaln, log_ndtr, ndtri_exp  # scipy.stats takes half a second to import
+from scipy.special import log_ndtr  # scipy.stats takes half a second to import
 
 from luxloop.effect import EffectParameter, EffectSpec, Value
 from validation.fit.least_squares import Basis
@@ -27,7 +27,10 @@ from validation.fit.least_squares import Basis
 Real = NDArray[np.float64]
 
 DRAWS = 10_000
-SMALLEST = 1e-280
+SADDLES = np.geomspace(100.0, 1e-16, 2000)
+"""1 - 2 t of the largest weight, t where the saddle lies: 1, at the mean, is none of them, for there it is 0 / 0."""
+ROUNDED = 1e-12
+"""Share of the largest eigenvalue below which another is rounding."""
 VANISHED = 1e-9
 """Share of a column's square below which the fit's own parameters can do all that it does."""
 
@@ -248,21 +251,26 @@ def _spread(products: Real, gram: Real) -> tuple[float, float]:
 def _group_z(products: Real, gram: Real) -> Real:
     """Normal equivalents (draw,) of the energy of products (member, draw), whose null covariance is `gram`.
 
-    The energy is a sum of chi2 with the gram's eigenvalues as weights; it is taken for a chi2 of the same mean and
-    variance (Welch and Satterthwaite).
+    The energy is a sum of chi2 with the gram's eigenvalues as weights. A chi2 of the same mean and variance has too
+    light a tail where these are uneven: it says 17.8 for 13.7 with a weight of 1 and nine of 0.1.
     """
-    mean, variance = float(np.trace(gram)), 2.0 * float(np.sum(gram**2))
-    freedom, factor = 2.0 * mean**2 / variance, variance / (2.0 * mean)
-    return np.asarray(-ndtri_exp(_log_sf(np.sum(products**2, axis=0) / factor, freedom)))
+    weight = np.linalg.eigvalsh(gram)
+    energy, z = _saddles(weight[weight > ROUNDED * weight[-1]] / weight[-1])
+    return np.asarray(np.interp(np.sqrt(np.sum(products**2, axis=0) / weight[-1]), np.sqrt(energy), z))
 
 
-def _log_sf(value: Real, freedom: float) -> Real:
-    """ln of the chance that a chi2 is larger; where that is too small for a number, by its continued fraction."""
-    shape, half = 0.5 * freedom, 0.5 * value
-    chance = gammaincc(shape, half)
-    some = np.maximum(half, shape + 1.0)
-    far = shape * np.log(some) - some - gammaln(shape) - np.log(some + 1.0 - shape)
-    return np.asarray(np.where(chance > SMALLEST, np.log(np.maximum(chance, SMALLEST)), far))
+def _saddles(weight: Real) -> tuple[Real, Real]:
+    """Energies of a sum of weighted chi2, the largest weight 1, and their normal equivalents, to 0.03 from 1 on.
+
+    By the saddlepoint's tail (Lugannani and Rice 1980, as Barndorff-Nielsen writes it; for such sums Kuonen 1999).
+    """
+    tilt = 0.5 * (1.0 - SADDLES)
+    left = (1.0 - weight) + SADDLES[:, None] * weight  # 1 - 2 tilt weight, of the largest without rounding
+    energy = np.sum(weight / left, axis=1)
+    height = 2.0 * tilt * energy + np.sum(np.log(left), axis=1)
+    root = np.sign(tilt) * np.sqrt(height)
+    slope = tilt * np.sqrt(2.0 * np.sum((weight / left) ** 2, axis=1))
+    return energy, root + np.log(slope / root) / root
 
 
 def _null(projected: Projected, draws: int, seed: int) -> Real:

@@ -10,6 +10,7 @@ import numpy as np
 
 from luxloop.errors import InputError
 from luxloop.ray import RayRequest
+from luxloop.words import sha256_of
 from validation.prediction.differences import moved_models
 from validation.prediction.images import FilmOf, module_of
 from validation.prediction.words import FarView, PredictedCurve, Real
@@ -17,6 +18,7 @@ from validation.prediction.words import FarView, PredictedCurve, Real
 if TYPE_CHECKING:
     from luxloop.client import Answer
     from luxloop.model import Model
+    from validation.dataset.manifest import Sample
 
 Ask = Callable[[Sequence[RayRequest]], "list[Answer]"]
 
@@ -62,9 +64,14 @@ def _request(wanted: Wanted, model: Model, view: FarView) -> RayRequest:
         **module_of(model, view.sample, wanted.film_of),
         histories=wanted.histories,
         budget_s=86_400.0,
-        seed=str(wanted.seed),
+        seed=_seed_of(wanted.seed, view.sample),
         far_field=True,
     )
+
+
+def _seed_of(seed: int, sample: Sample) -> str:
+    """Another for each sample, so that no two share their noise; a sample keeps its own in another model."""
+    return str(int(sha256_of({"seed": str(seed), "sample": sample.id})[:15], 16) % 10**18)
 
 
 def _seen(answer: Answer, view: FarView, name: str) -> Real:

@@ -249,6 +249,11 @@ def _shot(model: Model, view: View, film_of: FilmOf) -> ShotRequest:
     return ShotRequest(**module_of(model, view.sample, film_of), camera=camera_of(view, view.pose))
 
 
+def _of_own_run(shot: ShotRequest, sample: Sample, model: Model) -> ShotRequest:
+    """An anchor's shot, set apart as `run_of` tells runs apart: where the sample has values of its own."""
+    return shot.model_copy(update={"apart": sample.id}) if sample.id in model.samples else shot
+
+
 def _image_request(wanted: Wanted, views: Sequence[View], group: Sequence[int]) -> PredictionRequest:
     """Views of one size, anchored where that is wanted."""
     shots = tuple(_shot(wanted.model, views[number], wanted.film_of) for number in group)
@@ -257,7 +262,7 @@ def _image_request(wanted: Wanted, views: Sequence[View], group: Sequence[int]) 
     at = wanted.anchor
     poses = at.poses or [Pose()] * len(views)
     seen = [replace(views[number], pose=poses[number], sensor=None) for number in group]
-    anchored = tuple(_shot(at.model, view, wanted.film_of) for view in seen)
+    anchored = tuple(_of_own_run(_shot(at.model, view, wanted.film_of), view.sample, at.model) for view in seen)
     histories = at.histories_of(views[group[0]].sample.id)
     anchor = AnchorRequest(shots=anchored, histories=histories, seed=str(at.seed), stored_exits=at.stored_exits)
     exits = {} if wanted.noise else {"exit_histories": COLUMN_EXITS}

@@ -212,16 +212,33 @@ def test_a_loud_group_is_not_outrun_by_effects_that_take_less() -> None:
     assert 1400.0 < by_name["half"] < by_name["all"]
 
 
-@pytest.mark.parametrize("freedom", [1.0, 5.3, 24.0])
-def test_a_chance_too_small_for_a_number_goes_on_from_one_that_is_not(
-    monkeypatch: pytest.MonkeyPatch, freedom: float
-) -> None:
-    """Against scipy's own chi2 as far as that reaches; beyond, each unit of chi2 costs a half, and a little less."""
-    value = np.linspace(300.0, 1300.0, 6)
-    monkeypatch.setattr(score, "SMALLEST", 2.0)  # no chance is: all by the continued fraction
-    np.testing.assert_allclose(score._log_sf(value, freedom), chi2.logsf(value, freedom), rtol=0.0, atol=2e-3)
-    far = score._log_sf(np.array([1e6, 1e6 + 2.0]), freedom)
-    assert far[0] - far[1] == pytest.approx(1.0, abs=1e-4)
+@pytest.mark.parametrize("weights", [(1.0,), (1.0,) * 24, (1.0, *[0.1] * 9), (1.0, 0.5, 0.25, 0.125, 0.06, 0.03)])
+def test_a_groups_sigma_are_as_rare_as_they_say(weights: tuple[float, ...]) -> None:
+    """However unevenly the fit leaves its members: of 400,000 draws as many lie beyond as of a normal number's."""
+    weight, random = np.array(weights), np.random.default_rng(3)
+    drawn = np.sqrt(weight)[:, None] * random.standard_normal((len(weight), 400_000))
+    z = score._group_z(drawn, np.diag(weight))
+    for told in (1.5, 2.5, 3.5):
+        least, most = (400_000 * norm.sf(told + by) for by in (0.03, -0.03))
+        assert least - 3.0 * np.sqrt(least) < np.sum(z > told) < most + 3.0 * np.sqrt(most)
+
+
+@pytest.mark.parametrize("members", [1, 5, 24])
+def test_a_chance_too_small_for_a_number_goes_on_from_one_that_is_not(members: int) -> None:
+    """Against scipy's own chi2 as far as that reaches; beyond, all of the energy counts, less noise's share."""
+    energy = np.linspace(40.0, 1300.0, 20)
+    products = np.sqrt(energy / members) * np.ones((members, 1))
+    z = score._group_z(products, np.eye(members))
+    np.testing.assert_allclose(norm.logsf(z), chi2.logsf(energy, members), rtol=0.0, atol=0.2)
+    far = score._group_z(1e6 * np.ones((members, 1)), np.eye(members))
+    assert far[0] == pytest.approx(1e6 * np.sqrt(members), rel=1e-6)
+
+
+def test_most_of_a_groups_energy_along_one_member_counts_as_its_own() -> None:
+    """However many others the fit hardly leaves: 13 sigma of the one are 13 of all, not 17."""
+    gram = np.diag([1.0, *[0.1] * 9])
+    z = score._group_z(np.array([[13.0], *[[0.0]] * 9]), gram)
+    assert 12.5 < z[0] < 13.0
 
 
 def test_the_error_of_a_spread_is_how_far_it_scatters() -> None:

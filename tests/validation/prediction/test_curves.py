@@ -142,6 +142,19 @@ def test_a_far_field_is_the_modules(workers: Workers, model: Model) -> None:
     assert (found.jacobian[LOSS] * weight).sum() < 0.0  # more loss, less light
 
 
+def test_no_two_far_fields_share_random_numbers(workers: Workers, model: Model) -> None:
+    """Nor do two samples of equal numbers; a moved model of a sample has the sample's own, for the difference."""
+    replicate = SINGLE.model_copy(update={"id": "replicate"})
+    views = [FarView(one, np.array([10.0]), np.array([0.0])) for one in (SINGLE, replicate)]
+    Predictor(workers).far_fields(model, views, (LOSS,), histories=1 << 12, seed=3)
+    seeds = [request.seed for request in workers.of_kind("ray")]
+    one, other = set(seeds[: len(seeds) // 2]), set(seeds[len(seeds) // 2 :])
+    assert len(one) == len(other) == 1
+    assert one != other
+    Predictor(workers).far_fields(model, views[:1], (), histories=1 << 12, seed=4)
+    assert workers.of_kind("ray")[-1].seed not in one
+
+
 def test_a_far_field_goes_on_to_normal_and_horizon() -> None:
     """Lambert's law in bins that are equal in cos(theta) is a straight line: it is met everywhere. With the outer
     bins' own value it was 0.8 % of the peak off at 0 and 90 deg."""

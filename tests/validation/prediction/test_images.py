@@ -351,6 +351,8 @@ def test_two_samples_of_one_module_are_seen_by_one_run(workers: Workers, model: 
         bounded = Predictor(workers).images(asked, sized, (), at)  # of two requests: other functions
         noise = [one.noise_per_mm2 for one in bounded if one.noise_per_mm2 is not None]
         assert not np.any(noise[1][: len(noise[0])])
+    alone = Predictor(workers).images(apart, views, (), Anchored(apart, 1 << 16))  # seen by a run of its own
+    assert np.any(alone[0].irradiance_per_mm2 != alone[1].irradiance_per_mm2)
 
 
 def test_more_shots_than_a_request_holds_are_split(
