@@ -229,7 +229,7 @@ def test_a_chance_too_small_for_a_number_goes_on_from_one_that_is_not(members: i
     energy = np.linspace(40.0, 1300.0, 20)
     products = np.sqrt(energy / members) * np.ones((members, 1))
     z = score._group_z(products, np.eye(members))
-    np.testing.assert_allclose(norm.logsf(z), chi2.logsf(energy, members), rtol=0.0, atol=0.2)
+    np.testing.assert_allclose(norm.logsf(z), chi2.logsf(energy, members), rtol=0.0, atol=0.16 / members)
     far = score._group_z(1e6 * np.ones((members, 1)), np.eye(members))
     assert far[0] == pytest.approx(1e6 * np.sqrt(members), rel=1e-6)
 
