@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from agent.report_under import film_request, with_film
+from agent.telling import run_argument
 from luxloop.bus import Interrupt
 from luxloop.campaign import Action, Plan, Step
 from luxloop.design import Design
@@ -93,7 +94,7 @@ class EffectsKept:
         failure = step.failure
         if failure is not None and failure.code == UNKNOWN and (step.lane, step.number) not in self._known:
             message = f"the run {self.run} stops: {failure.message}; allowed: {failure.allowed}"
-            mend = f"{failure.mend}; then luxloop campaign resume {self.run}"
+            mend = f"{failure.mend}; then luxloop campaign resume {run_argument(Path(self._door.begun.folder))}"
             raise RemoteError(failure.model_copy(update={"message": message, "mend": mend}))
         return step
 

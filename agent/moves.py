@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from luxloop.campaign import Move, Plan
-from luxloop.design import LENGTH_DECIMALS, Bounds, Design
+from luxloop.design import LENGTH_DECIMALS, Bounds, Design, DistanceFrom, SpacingIs
 from luxloop.errors import InputError
 
 Profile = Literal["paper", "fast"]
@@ -42,9 +42,7 @@ def moves_of(profile: Profile) -> tuple[Move, ...]:
 
 
 @functools.lru_cache(maxsize=1 << 16)
-def _can_be_built(
-    lengths_um: Key, distance_from: Literal["substrate", "chip_top"], spacing_is: Literal["pitch", "gap"]
-) -> bool:
+def _can_be_built(lengths_um: Key, distance_from: DistanceFrom, spacing_is: SpacingIs) -> bool:
     return Design.from_vector((*lengths_um, 0.0)).feasibility(distance_from, spacing_is) is None
 
 
@@ -53,8 +51,8 @@ class Space:
     """The designs there are: the bounds, and how distance and spacing are read (which decides what can be built)."""
 
     bounds: Bounds
-    distance_from: Literal["substrate", "chip_top"] = "substrate"
-    spacing_is: Literal["pitch", "gap"] = "pitch"
+    distance_from: DistanceFrom = "substrate"
+    spacing_is: SpacingIs = "pitch"
 
     @classmethod
     def of(cls, plan: Plan) -> Space:

@@ -16,7 +16,6 @@ from agent.moves import key_of
 from luxloop.campaign import AgentRecord, Plan, Step
 from luxloop.errors import InputError
 from luxloop.journal.reader import RunJournal
-from luxloop.journal.scan import Scan
 from luxloop.journal.topics import CHAIN, Close
 
 Document = dict[str, Any]
@@ -190,22 +189,11 @@ def wall_s(told: Iterable[Told]) -> float:
 def _command_lines(journal: RunJournal) -> Iterator[str]:
     """What the run was begun by, then what it was gone on with by; a controller's new start is none."""
     designer = None
-    for run in _openings(journal):
+    for run in journal.starts("run"):
         line = begun_by(object_in(run.get("facts") or "{}", "facts"))
         if line and run.get("designer") != designer:
             designer = run.get("designer")
             yield line
-
-
-def _openings(journal: RunJournal) -> Iterator[dict[str, str]]:
-    """The facts of each start; a segment that others were merged into has several, which its index does not tell."""
-    for segment in journal.segments:
-        index = segment.index
-        if index is None or sum(place.name == "run" for place in index["MetadataIndex"]) == 1:
-            yield segment.opening[0].get("run", {})
-        else:
-            links = (link for commit in Scan(segment.path) for link in commit.links)
-            yield from (json.loads(link.data) for link in links if link.topic == "metadata/run")
 
 
 def _named(tasks: Collection[str], data: bytes) -> Iterator[str]:

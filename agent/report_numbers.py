@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Mapping, Sequence
-from typing import Literal
 
 import numpy as np
 
 from agent.recorded import Document, Told
 from luxloop.campaign import Plan
-from luxloop.design import Bounds, Design
+from luxloop.design import Bounds, Design, DistanceFrom, SpacingIs
 
 Estimated = Mapping[str, float]
 
@@ -53,22 +51,28 @@ def grid_of(plan: Plan, designs: Sequence[Told]) -> Document:
     }
 
 
-def _feasible(
-    bounds: Bounds, distance_from: Literal["substrate", "chip_top"], spacing_is: Literal["pitch", "gap"]
-) -> int:
+def _feasible(bounds: Bounds, distance_from: DistanceFrom, spacing_is: SpacingIs) -> int:
     """How many designs of the grid can be built: height and width decide for themselves."""
     low, values = bounds.low, {name: bounds.values(name) for name in Design.FIELDS}
 
-    def count(one: str, other: str, roomy: Design) -> int:
-        pairs = itertools.product(values[one], values[other])
-        tried = (roomy.model_copy(update={one: a, other: b}) for a, b in pairs)
-        return sum(design.feasibility(distance_from, spacing_is) is None for design in tried)
+    def count(room: str, part: str, roomy: Design) -> int:
+        """Pairs that can be built: the larger the part, the larger is the least room for it."""
+        first = total = 0
+        for size in values[part]:
+            of_size = roomy.model_copy(update={part: size})
+            while first < len(values[room]):
+                design = of_size.model_copy(update={room: values[room][first]})
+                if design.feasibility(distance_from, spacing_is) is None:
+                    break
+                first += 1
+            total += len(values[room]) - first
+        return total
 
     high = bounds.high
     tall = low.model_copy(update={"spacing_um": 2.0 * high.width_um + high.spacing_um})
     wide = low.model_copy(update={"distance_um": 2.0 * high.thickness_um + high.distance_um + 100.0})
     heights = count("distance_um", "thickness_um", tall)
-    return heights * count("width_um", "spacing_um", wide) * len(values["dbr_pairs"])
+    return heights * count("spacing_um", "width_um", wide) * len(values["dbr_pairs"])
 
 
 def minus(a: Estimated, b: Estimated) -> Document:

@@ -66,7 +66,8 @@ def as_text(document: dict[str, Any]) -> list[str]:
         lines.append(f"report       {document['report']}")
     else:
         near = Path(document["folder"]).parent == load_settings().runs_dir.resolve()
-        lines.append(f"next         luxloop campaign report {document['run'] if near else document['folder']}")
+        run = document["run"] if near else shlex.quote(document["folder"])
+        lines.append(f"next         luxloop campaign report {run}")
     return lines
 
 

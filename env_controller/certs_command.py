@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from contextlib import suppress
+from ipaddress import ip_address
 from pathlib import Path
 from typing import Annotated
 
@@ -51,4 +53,6 @@ def _checked_host(host: str) -> str:
     except InputError:
         mend = "e.g. --host pc1.lab --host 10.0.0.5"
         raise InputError("host", host, "a name, an IPv4 or an IPv6 address", mend) from None
+    with suppress(ValueError):  # as certificates write it: short, in small letters
+        return str(ip_address(host))
     return host

@@ -51,6 +51,9 @@ def read_back(folder: Path, begin: Begin) -> Past:
     Raises RemoteError refused where there is no such run, where it is being written, has ended, was taken over by
     another designer, is of another plan or release, or is not what was written.
     """
+    if not folder.is_dir():
+        mend = f"start the set with LUXLOOP_RUNS set to the folder that holds {folder.name}, or name another set"
+        raise _refused(f"this controller keeps its runs in {folder.parent}, where there is no {folder.name}", mend)
     try:
         journal, ends = RunJournal(folder), end_of(folder)
         _refuse_another(journal, begin)
@@ -181,7 +184,7 @@ def _refuse_another(journal: RunJournal, begin: Begin) -> None:
     if journal.close is not None and journal.close.complete and journal.segments[-1].index is not None:
         why = f"the run {name!r} in {journal.folder} has ended ({journal.close.reason})"
         raise _refused(why, f"nothing is left to do: luxloop campaign report {name}")
-    *before, last = [segment.opening[0].get("run", {}).get("designer") for segment in journal.segments]
+    *before, last = [run.get("designer") for run in journal.starts("run")]
     if begin.designer in before and begin.designer != last:
         why = f"the run {name!r} was taken over by the designer {last}, while this one was not heard of"
         raise _refused(why, f"luxloop campaign status {name}")

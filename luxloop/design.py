@@ -24,6 +24,8 @@ from luxloop.words import Words
 
 CLEARANCE_UM = 5.0
 MOST_VALUES = 1_000_000  # of one variable on a grid
+DistanceFrom = Literal["substrate", "chip_top"]
+SpacingIs = Literal["pitch", "gap"]
 LENGTH_DECIMALS = 6  # of a um: a design that comes out of [-1, 1] is the one that went in, to a picometre
 
 
@@ -44,9 +46,7 @@ class Design(Words):
     @classmethod
     def _pairs_come_in_halves(cls, pairs: float) -> float:
         if not (2.0 * pairs).is_integer():
-            raise InputError(
-                "dbr_pairs", pairs, "a multiple of 0.5 from 0 to 100", f"nearest: {nearest_half(pairs):g}"
-            )
+            raise InputError("dbr_pairs", pairs, "a multiple of 0.5, 0 to 100", f"nearest: {nearest_half(pairs):g}")
         return abs(pairs)  # -0.0 is 0.0: equal designs have one hash
 
     def as_vector(self) -> NDArray[np.float64]:
@@ -65,11 +65,7 @@ class Design(Words):
         """Geometry factor f = 4 T / W: side area over top area (Eq. 9 of the paper)."""
         return 4.0 * self.thickness_um / self.width_um
 
-    def feasibility(
-        self,
-        distance_from: Literal["substrate", "chip_top"] = "substrate",
-        spacing_is: Literal["pitch", "gap"] = "pitch",
-    ) -> str | None:
+    def feasibility(self, distance_from: DistanceFrom = "substrate", spacing_is: SpacingIs = "pitch") -> str | None:
         """Why the module cannot be built, in a sentence, or None where it can."""
         base_um = self.thickness_um if distance_from == "substrate" else 0.0
         if self.distance_um < base_um + CLEARANCE_UM:
@@ -93,6 +89,11 @@ class Bounds(Words):
     high: Design
     step: Design
 
+    @field_validator("low", "high")
+    @classmethod
+    def _as_designs_are(cls, end: Design) -> Design:
+        return Design.from_vector(np.round(end.as_vector(), LENGTH_DECIMALS))  # designs on it would lie beside it
+
     @model_validator(mode="after")
     def _low_is_below_high(self) -> Bounds:
         for name in Design.FIELDS:
@@ -106,8 +107,7 @@ class Bounds(Words):
 
     def contains(self, design: Design) -> bool:
         """Whether the design lies in the box, its faces included; it need not lie on the grid."""
-        x = design.as_vector()
-        return bool(np.all((x >= self.low.as_vector()) & (x <= self.high.as_vector())))
+        return self.clip(design) == design
 
     def clip(self, design: Design) -> Design:
         """The design of the box nearest to `design`, variable by variable."""

@@ -19,6 +19,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import ConfigDict, Field, field_validator, model_validator
 
+from luxloop.design import DistanceFrom, SpacingIs
 from luxloop.effect import AppliedEffect, Name, Value, did_you_mean, refuse_twice
 from luxloop.errors import InputError
 from luxloop.words import Words, parse, sha256_of
@@ -92,10 +93,10 @@ class Environment(Strict):
     chip_absorption_per_cm: float = Field(
         0.0, ge=0.0, le=10_000.0, description="Absorption coefficient inside the chip (Beer-Lambert)."
     )
-    spacing_is: Literal["pitch", "gap"] = Field(
+    spacing_is: SpacingIs = Field(
         "pitch", description="What the spacing S is: chip centre to chip centre, or the gap between chips."
     )
-    distance_from: Literal["substrate", "chip_top"] = Field(
+    distance_from: DistanceFrom = Field(
         "substrate", description="Where the distance D to the receiver is measured from."
     )
     substrate: Surface = Field(

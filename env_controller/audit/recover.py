@@ -185,7 +185,7 @@ def owner_of(path: Path) -> str:
     """Who writes a segment, as far as its opening says."""
     facts: dict[str, str] = {}
     with suppress(LuxloopError):
-        facts = SegmentReader(path).opening[0].get("environment", {})
+        facts = dict(SegmentReader(path).opening[0]).get("environment", {})
     return f"the controller that writes it (process {facts.get('pid', '?')} on {facts.get('host', '?')})"
 
 

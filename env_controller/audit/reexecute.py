@@ -31,7 +31,7 @@ from luxloop.bus import Interrupt
 from luxloop.campaign import LIMIT_S, Step
 from luxloop.client import Answer, Client
 from luxloop.endpoint import listening
-from luxloop.errors import InputError, LuxloopError, RemoteError
+from luxloop.errors import LuxloopError, RemoteError
 from luxloop.journal.reader import RunJournal
 from luxloop.journal.topics import ReplyRecord, RequestRecord
 from luxloop.messages import Task
@@ -97,6 +97,8 @@ def re_execute(
     for sequence, step in record.lost:
         Place.of(say, sequence, step).nothing("result", LOST)
     if not record.questions:
+        if not record.lost:
+            Place(say).nothing("result", "nothing was evaluated")
         return
     with fresh_client(settings, local=local) as client:
         workers, here = client.status().workers, at_home(client)
@@ -107,17 +109,14 @@ def re_execute(
 
 
 def chosen(journal: RunJournal, choice: Choice) -> Record:
-    """What is to be done again. The sample is drawn by the chain's root, so it is the same every time.
-
-    Raises InputError where nothing was evaluated.
-    """
+    """What is to be done again. The sample is drawn by the chain's root, so it is the same every time."""
     steps: dict[str, tuple[int, Step]] = {}
     for entry in journal.records("/step"):
         step: Step = entry.value
         if step.task_id and step.failure is None:
             steps.setdefault(step.task_id, (entry.sequence, step))
     if not steps:
-        raise InputError("RUN", str(journal.folder), "a run with evaluations", "there is nothing to do again")
+        return Record([], {}, [])
     wanted = _wanted(steps, choice, str(journal.last("/chain", 1)[-1].value.root))
     return _read(journal, {task: steps[task] for task in wanted})
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import threading
 from collections import Counter, defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -131,7 +131,9 @@ class Replay:
 def verified(folder: Path, level: int, look: Callable[[Compared], object] = lambda _: None) -> Replay:
     """A replay after its level 1. Raises InputError where there is no journal."""
     audit = checks.verify(folder, None, None)
-    other = {} if checks.exit_code(audit) == BROKEN else other_bits(facts_of(RunJournal(folder)))
+    other: dict[str, tuple[str, str]] = {}
+    for facts in () if checks.exit_code(audit) == BROKEN else facts_of(RunJournal(folder)):
+        other |= other_bits(facts)
     return Replay(folder, level, audit, Tally(look=look), other)
 
 
@@ -145,12 +147,14 @@ def audit_rooms(replay: Replay, same_place: bool = True, **given: Any) -> None:
         auditor(RunJournal(replay.folder), replay.tally.take, same_machine=same, **given)
 
 
-def facts_of(journal: RunJournal) -> dict[str, str]:
-    """Where a run was made: the controller's facts, and what it lacks from the list of the designer's packages."""
-    listed = journal.attachments().get("packages.txt", b"").decode(errors="replace").lower()
-    packages = dict(line.split("==", 1) for line in listed.splitlines() if "==" in line)
-    environment = journal.metadata("environment")
-    return packages | {name: fact for name, fact in environment.items() if fact != "not installed"}
+def facts_of(journal: RunJournal) -> Iterator[dict[str, str]]:
+    """Where each start of a run was made: the controller's facts, and what it lacks from the designer's packages."""
+    files = [file for segment in journal.segments for file in segment.opening[1]]
+    listed = [data for name, data in files if name == "packages.txt"] or [b""]
+    for number, environment in enumerate(journal.starts("environment")):
+        lines = listed[min(number, len(listed) - 1)].decode(errors="replace").lower().splitlines()
+        packages = dict(line.split("==", 1) for line in lines if "==" in line)
+        yield packages | {name: fact for name, fact in environment.items() if fact != "not installed"}
 
 
 def _plain(one: Compared) -> Document:

@@ -45,18 +45,17 @@ class SegmentReader:
                 return None
 
     @cached_property
-    def opening(self) -> tuple[dict[str, dict[str, str]], dict[str, bytes]]:
-        """Metadata and attachments, by name, of several starts the last one's; empty where none were committed."""
+    def opening(self) -> tuple[list[tuple[str, dict[str, str]]], list[tuple[str, bytes]]]:
+        """Metadata and attachments with their names, start after start; empty where none were committed."""
         if self.index is not None:
             return self._indexed_opening(self.index)
-        first = next(iter(Scan(self.path)), None)
-        kinds: dict[str, dict[str, bytes]] = {"metadata": {}, "attachment": {}}
-        for link in first.links if first else ():
+        kinds: dict[str, list[tuple[str, bytes]]] = {"metadata": [], "attachment": []}
+        for link in next((commit.links for commit in Scan(self.path)), ()):
             kind, _, name = link.topic.partition("/")
-            kinds.setdefault(kind, {})[name] = link.data
-        return {name: json.loads(data) for name, data in kinds["metadata"].items()}, kinds["attachment"]
+            kinds.setdefault(kind, []).append((name, link.data))
+        return [(name, json.loads(data)) for name, data in kinds["metadata"]], kinds["attachment"]
 
-    def _indexed_opening(self, index: Index) -> tuple[dict[str, dict[str, str]], dict[str, bytes]]:
+    def _indexed_opening(self, index: Index) -> tuple[list[tuple[str, dict[str, str]]], list[tuple[str, bytes]]]:
         def read(kind: type[Metadata] | type[Attachment], offset: int) -> Any:
             file.seek(offset + HEAD.size)
             return kind.read(ReadDataStream(file))
@@ -68,8 +67,8 @@ class SegmentReader:
                 attached = [read(Attachment, place.offset) for place in index["AttachmentIndex"]]
             except (*BROKEN, OSError) as error:
                 raise self._damaged(error) from error
-        facts = {item.name: item.metadata for item in metadata if item.name != "chain"}
-        return facts, {item.name: item.data for item in attached}
+        facts = [(item.name, item.metadata) for item in metadata if item.name != "chain"]
+        return facts, [(item.name, item.data) for item in attached]
 
     def records(self, topics: Iterable[str] = ()) -> Iterator[Record]:
         """The records of these topics (all but `/chain` where none is named), in the order of writing.
@@ -127,18 +126,21 @@ class RunJournal:
             raise InputError("run", str(folder), "the folder of a run", "see `luxloop campaign list`")
         paths = segments_of(folder)
         self.segments = [SegmentReader(path) for path in sorted({*paths} - left_over(paths), key=number_of)]
-        if not any(segment.opening[0].get("run", {}).get("journal") == FORMAT for segment in self.segments):
+        if not any(run.get("journal") == FORMAT for run in self.starts("run")):
             seen = f"{len(self.segments)} file(s) {PATTERN}, none with the beginning of a journal of format {FORMAT}"
             raise InputError(str(folder), seen, "the folder of a run with its journal", "name another folder")
 
+    def starts(self, name: str) -> list[dict[str, str]]:
+        """Facts by which the run was opened, `run` or `environment`, of each start."""
+        return [facts for segment in self.segments for of, facts in segment.opening[0] if of == name]
+
     def metadata(self, name: str) -> dict[str, str]:
-        """Facts by which the run was opened: `run` or `environment`, of its last start."""
-        found = [segment.opening[0][name] for segment in self.segments if name in segment.opening[0]]
-        return found[-1] if found else {}
+        """Those of its last start."""
+        return next(reversed(self.starts(name)), {})
 
     def attachments(self) -> dict[str, bytes]:
         """The attached files by name; of several starts the last one's counts."""
-        return {name: data for segment in self.segments for name, data in segment.opening[1].items()}
+        return {name: data for segment in self.segments for name, data in segment.opening[1]}
 
     def attached(self, name: str, model: type[W]) -> W:
         """An attached JSON file as words. Raises InputError where it is not there, or is none of them."""

@@ -110,7 +110,7 @@ def forged(journal: RunJournal, change: Callable[[Record], Record | None], **fil
     """The same run with changed records and files and a chain that is right: what a forger with our code can make."""
     folder, segment = journal.folder.with_name("forged"), journal.segments[0]
     folder.mkdir()
-    metadata, attachments = segment.opening
+    metadata, attachments = dict(segment.opening[0]), dict(segment.opening[1])
     out = Segment(folder / "audit-0001.mcap", Mark(), metadata, attachments | files)
     for entry in filter(None, map(change, segment.records())):
         out.write(entry)
@@ -203,6 +203,18 @@ def test_a_run_that_was_killed_is_decided_as_far_as_it_goes(tmp_path: Path) -> N
     said = compared(journal)
     assert {one.verdict for one in said} == {"identical"}
     assert len(verdicts(said, "proposal")) == len(list(journal.steps())) > 5
+
+
+@pytest.mark.parametrize("name", ["ddqn-fast", "pattern", "random"])
+def test_a_run_that_was_killed_while_its_first_lane_was_behind_is_the_same(tmp_path: Path, name: str) -> None:
+    """A slow design: three other lanes' steps of the round are on record, and were asked for."""
+    whole = recorded(tmp_path / "whole", name, lanes=4)
+    files = {"campaign.json": whole.attachments()["campaign.json"].decode()}
+    begin = Begin(plan=whole.attached("plan.json", Plan), designer="d", attachments=files)
+    kept = [one for one in whole.records("/step", "/agent") if one.value.number < 3 + (one.value.lane > 0)]
+    said = compared(written(tmp_path / "killed", begin, kept))
+    assert {one.verdict for one in said} == {"identical"}
+    assert len(verdicts(said, "proposal")) == 4 * 3 + 3
 
 
 def test_another_seed_is_found_at_the_first_proposal(tmp_path: Path) -> None:

@@ -42,6 +42,17 @@ def test_the_mask_offers_exactly_what_may_be_built(space: Space, key: tuple[floa
         assert bool(may) == good
 
 
+def test_bounds_are_on_the_grid_of_designs() -> None:
+    """A third of a millimetre for a pitch that stays: all designs have it, and lie in the box."""
+    low, high = (150.0, 20.0, 1000.0 / 3.0, 10.0, 5.0), (180.0, 60.0, 1000.0 / 3.0, 20.0, 6.0)
+    space = Space(Bounds(low=Design.from_vector(low), high=Design.from_vector(high), step=BOUNDS.step))
+    here = space.draw(np.random.default_rng(1))
+    assert here is not None
+    assert here[2] == 333.333333
+    assert space.bounds.contains(Design.from_vector(here))
+    assert Moves(space, "fast").mask(here).any()
+
+
 def test_a_known_design_is_not_offered_again() -> None:
     """What is known drops out of the mask, and only that."""
     space = Space(BOUNDS, spacing_is="gap")

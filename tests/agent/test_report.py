@@ -245,17 +245,23 @@ def test_a_run_of_failures_alone_has_no_best(tmp_path: Path) -> None:
     assert document["grid"]["projected_physics_s"] is None
 
 
-def test_the_grid_counts_what_can_be_built(tmp_path: Path) -> None:
+@pytest.mark.parametrize("distance_from", ["substrate", "chip_top"])
+@pytest.mark.parametrize("spacing_is", ["pitch", "gap"])
+def test_the_grid_counts_what_can_be_built(tmp_path: Path, distance_from: Any, spacing_is: Any) -> None:
     """As many of the plan's grid as are feasible one by one (a coarse one, so that all can be asked)."""
     plan = plan_of()
     step = Design.from_vector((40.0, 45.0, 200.0, 25.0, 2.5))
     low = Design.from_vector((10.0, 10.0, 90.0, 5.0, 4.5))
     bounds = plan.bounds.model_copy(update={"low": low, "step": step})
-    RunOnDisk(tmp_path / "trial", plan_of("trial", bounds=bounds)).finish()
+    readings = {"distance_from": distance_from, "spacing_is": spacing_is}
+    around = plan.environment.model_copy(update=readings)
+    RunOnDisk(tmp_path / "trial", plan_of("trial", bounds=bounds, environment=around)).finish()
     document, _ = document_of(tmp_path / "trial")
-    feasible = [design for design in bounds.grid() if design.feasibility() is None]
+    feasible = [design for design in bounds.grid() if design.feasibility(distance_from, spacing_is) is None]
     assert document["grid"]["designs"] == bounds.count
-    assert document["grid"]["feasible"] == len(feasible) < bounds.count
+    assert document["grid"]["feasible"] == len(feasible)
+    some_are_not = (distance_from, spacing_is) != ("chip_top", "gap")
+    assert (len(feasible) < bounds.count) is some_are_not
 
 
 def test_the_twin_has_no_ledger(tmp_path: Path) -> None:

@@ -37,7 +37,7 @@ def planted(to: Path, change: Callable[[Entry], Entry | None], name: str = NAMES
             files: dict[str, bytes] | None = None) -> Path:  # fmt: skip
     """A golden run with changed records and files and a chain that is right: what a forger with our code can make."""
     (segment,) = RunJournal(GOLDEN / name).segments
-    metadata, attachments = segment.opening
+    metadata, attachments = dict(segment.opening[0]), dict(segment.opening[1])
     to.mkdir()
     out = Segment(to / "audit-0001.mcap", Mark(), metadata, attachments | (files or {}))
     for entry in filter(None, map(change, segment.records())):

@@ -413,6 +413,12 @@ def test_who_asks_for_a_run_whose_journal_takes_long_to_read_comes_back(
     assert (second.message, reads) == (None, ["d"])
 
 
+def test_a_run_that_lies_elsewhere_is_told_so(tmp_path: Path) -> None:
+    """Not that its journal is damaged: this controller keeps its runs in another folder."""
+    with pytest.raises(RemoteError, match=f"keeps its runs in {tmp_path}, where there is no elsewhere"):
+        past.read_back(tmp_path / "elsewhere", Begin(plan=plan(), designer="d", resume=True))
+
+
 def test_a_taken_id_is_refused_without_reading_its_steps(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
     """The first commit says that there is a run."""
     desk.begin()

@@ -17,6 +17,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from env_controller import certs as certs_module
 from env_controller.certs import HOSTS, Authority, hosts_of, make, read_certificate, role_file, what_it_lacks
+from env_controller.certs_command import _checked_host
 from env_controller.health.certificates import certificates
 from luxloop.bus.access import ROLES
 from luxloop.bus.identity import Identity
@@ -151,6 +152,9 @@ class TestAgain:
         assert role_file(certs, "router").read_bytes() == before
         assert "pc9" in make(certs, days=90, hosts=("pc9",), if_needed=True).what
         assert make(certs, days=90, hosts=("pc9",), if_needed=True).what == "left as it is"
+        for written in ("2001:DB8::1", "2001:db8:0::1"):
+            made = make(certs, days=90, hosts=(_checked_host(written),), if_needed=True)
+        assert (made.what, made.hosts) == ("left as it is", (*HOSTS, "pc9", "2001:db8::1"))
         make(certs, days=5, renew=True)
         assert "ends on" in make(certs, days=90, if_needed=True).what
         role_file(certs, "client").write_text("damaged")

@@ -24,6 +24,7 @@ from luxloop.client import Answer, Client
 from luxloop.design import Bounds
 from luxloop.errors import InputError, RemoteError
 from luxloop.failure import Failure
+from luxloop.journal.journal import Journal
 from luxloop.journal.reader import RunJournal
 from luxloop.journal.topics import ReplyRecord
 from luxloop.messages import Task
@@ -296,6 +297,27 @@ def test_versions_that_differ_are_named() -> None:
     assert other_bits({**facts, "pid": "1", "host": "other"}) == {}
     assert other_bits({**facts, "numpy": "1.0"}) == {"numpy": ("1.0", facts["numpy"])}
     assert other_bits({})["processor"] == ("unknown", facts["processor"])
+
+
+def test_every_start_of_a_run_is_looked_at(tmp_path: Path) -> None:
+    """Begun elsewhere and gone on with here: its first steps' bits are another machine's."""
+    for numpy in ("1.26.0", machine()["numpy"]):
+        attached = {"packages.txt": f"torch=={'2.0.0' if numpy == '1.26.0' else machine()['torch']}".encode()}
+        facts = {**machine(), "numpy": numpy, "torch": "not installed"}
+        journal = Journal(tmp_path, {"run": {}, "environment": facts}, attached)
+        journal.finish()
+        journal.close()
+    now = machine()
+    assert verified(tmp_path, 1).other == {"numpy": ("1.26.0", now["numpy"]), "torch": ("2.0.0", now["torch"])}
+
+
+def test_a_run_in_which_nothing_was_evaluated_has_nothing_to_compare(tmp_path: Path) -> None:
+    """Exit 1 at level 4, as at the others."""
+    journal = Journal(tmp_path / "bare", {"run": {}}, {})
+    journal.finish()
+    journal.close()
+    code, document = ask(tmp_path / "bare", 4, "--no-local")
+    assert (code, document["reasons"]) == (1, {"result, not comparable": {"nothing was evaluated": 1}})
 
 
 def test_no_name_of_a_machine_is_on_record() -> None:

@@ -11,7 +11,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from luxloop.design import Design, nearest_half
+from luxloop.design import Design, SpacingIs, nearest_half
 from luxloop.errors import InputError
 from luxloop.model import Strict
 from luxloop.words import Name, Text
@@ -85,11 +85,11 @@ class Sample(Strict):
         """The design of its chips."""
         return Design(**{name: getattr(self, name) for name in Design.FIELDS})
 
-    def pitch_um(self, spacing_is: Literal["pitch", "gap"] = "pitch") -> float:
+    def pitch_um(self, spacing_is: SpacingIs = "pitch") -> float:
         """From chip centre to chip centre, by what a model takes `spacing_um` for."""
         return self.spacing_um + (self.width_um if spacing_is == "gap" else 0.0)
 
-    def half_um(self, spacing_is: Literal["pitch", "gap"] = "pitch") -> float:
+    def half_um(self, spacing_is: SpacingIs = "pitch") -> float:
         """Half side of the square module: as given, or half a pitch past the outer chips, or 2000 for a single."""
         if self.module_half_um is not None:
             return self.module_half_um
