@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import traceback
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, TypeVar
 
 import numpy as np
@@ -32,6 +32,7 @@ from luxloop.errors import InputError
 from luxloop.stack import Stack
 
 Real = NDArray[np.float64]
+Spot = tuple[tuple[float, Stack], ...]
 Data = TypeVar("Data")
 
 SHARES = 1e-9
@@ -64,7 +65,7 @@ class Effects:
             raise InputError("effects", f"{len(spot)} stacks on one spot", "one: a film's table is of one stack")
         return spot[0][1]
 
-    def film(self, stack: Stack) -> tuple[tuple[float, Stack], ...]:
+    def film(self, stack: Stack) -> Spot:
         """Shares of the spot on a measured film, and the stack at each of them.
 
         Which layer is the film is decided once, of the stack as it was measured (`with_film`). Raises InputError for
@@ -111,7 +112,7 @@ class Effects:
                 if beyond:
                     allowed = "of stage " + effect.stage + ": " + ", ".join(MAY_CHANGE[effect.stage])
                     raise InputError(f"effects.{effect.name}", f"it changes {', '.join(beyond)}", allowed)
-                scene = after
+                scene = _on_each_top(effect, scene, after)
         return scene
 
     def camera(self, camera: Camera) -> Camera:
@@ -159,24 +160,45 @@ class Effects:
     def idle_in(self, scene: Scene, dbr_pairs: float, images: bool) -> list[str]:
         """A sentence for each effect that changes nothing of a module, or of what is asked of it."""
         return self.without_influence(dbr_pairs) + [
-            f"{one.name} has no influence: {why}" for one in self.all if (why := _idle(one, scene, images))
+            f"{one.name} has no influence: {why}"
+            for one, acts in self._acting(scene)
+            if (why := _idle(one, acts, scene, images))
         ]
+
+    def beyond_twin_in(self, scene: Scene) -> list[str]:
+        """The names of those that the twin cannot represent and that change the module: at off none does."""
+        return [one.name for one, acts in self._acting(scene) if acts and not one.twin]
+
+    def _acting(self, scene: Scene) -> list[tuple[Effect, bool]]:
+        """Each effect, and whether it changes what those before it have made of a module."""
+        found = []
+        for one in self.all:
+            after = guarded(one, one.scene, scene, kind=Scene) if isinstance(one, SceneEffect) else None
+            found.append((one, after is not scene))
+            scene = scene if after is None else after
+        return found
 
     def idle_on(self, stack: Stack, wavelength_nm: ArrayLike) -> list[str]:
         """A sentence for each effect on films that leaves a measured one as it is."""
-        film = with_film(stack)
-        rows, why = resolve(film, wavelength_nm), "at these values it leaves this sample as it is"
+        film, why = with_film(stack), "at these values it leaves this sample as it is"
         if not any(films_in(film)):
             why += ", which has no coherent layer, hence no film"
-        return [
-            f"{one.name} has no influence: {why}"
-            for one in self._of("film")
-            if guarded(one, one.stacks, film, kind=tuple) == ((1.0, film),)
-            and _same_rows(guarded(one, one.rows, rows, kind=StackRows), rows)
-        ]
+        spots, said = self._spots(film, "film"), []
+        rows = resolve(spots[-1][0][1], wavelength_nm)
+        for one, before, after in zip(self._of("film"), spots, spots[1:], strict=False):
+            changed_rows = guarded(one, one.rows, rows, kind=StackRows)
+            if before == after and _same_rows(changed_rows, rows):
+                said.append(f"{one.name} has no influence: {why}")
+            rows = changed_rows
+        return said
 
-    def _spot(self, stack: Stack, of: Literal["dbr", "film"]) -> tuple[tuple[float, Stack], ...]:
-        spot: tuple[tuple[float, Stack], ...] = ((1.0, stack),)
+    def _spot(self, stack: Stack, of: Literal["dbr", "film"]) -> Spot:
+        return self._spots(stack, of)[-1]
+
+    def _spots(self, stack: Stack, of: Literal["dbr", "film"]) -> list[Spot]:
+        """Shares of a spot and the stack at each of them: as it is, then with one effect after the other."""
+        spot: Spot = ((1.0, stack),)
+        spots = [spot]
         for effect in self._of(of):
             spread = [(share, guarded(effect, effect.stacks, one, kind=tuple)) for share, one in spot]
             spot = tuple((share * part, one) for share, parts in spread for part, one in parts)
@@ -186,7 +208,8 @@ class Effects:
             if lost:
                 mend = "change it by layer.model_copy(update={...}), to a thickness of 0 to take it away"
                 raise InputError(f"effects.{effect.name}", str(lost[0]), "a stack with the film it was given", mend)
-        return spot
+            spots.append(spot)
+        return spots
 
     def _of(self, of: Literal["dbr", "film"]) -> list[StackEffect]:
         return [one for one in self.all if isinstance(one, StackEffect) and of in one.of]
@@ -195,16 +218,27 @@ class Effects:
 NONE = Effects()
 
 
-def _idle(effect: Effect, scene: Scene, images: bool) -> str:
+def _idle(effect: Effect, acts: bool, scene: Scene, images: bool) -> str:
     """Why an effect changes nothing here; empty where it may."""
     if isinstance(effect, CurveEffect) or (isinstance(effect, StackEffect) and effect.of == ("film",)):
         return "it acts on measured films, not on modules"
     if isinstance(effect, DetectorEffect) and not images:
         return "it acts on images of a camera, and none is asked for"
-    if isinstance(effect, SceneEffect) and guarded(effect, effect.scene, scene, kind=Scene) is scene:
+    if isinstance(effect, SceneEffect) and not acts:
         endless = "; an endless array has no edge, no middle and no single chip" * isinstance(scene.layout, Cell)
         return f"at these values it leaves this module as it is{endless}"
     return ""
+
+
+def _on_each_top(effect: SceneEffect, before: Scene, after: Scene) -> Scene:
+    """The scene after an effect, which acts on the films of chips at other places as on that of the middle."""
+    if not before.tops or after.chip.top is before.chip.top:
+        return after
+    tops = []
+    for top, share in before.tops:
+        there = replace(before, chip=replace(before.chip, top=top))
+        tops.append((guarded(effect, effect.scene, there, kind=Scene).chip.top, share))
+    return replace(after, tops=tuple(tops))
 
 
 def _same_rows(one: StackRows, other: StackRows) -> bool:

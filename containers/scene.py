@@ -55,7 +55,7 @@ class Chip:
     sides: Face
     bottom: Literal["contact", "mirror", "air_gap"] = "contact"
     mirror: Bsdf | None = None
-    """What light meets at the bottom, where `bottom` is mirror."""
+    """What light meets at the bottom, where `bottom` is mirror; below an air gap where that is not the substrate."""
     absorption_per_um: float = 0.0
     """The mean over its height."""
     absorption_rise_per_um: float = 0.0
@@ -69,8 +69,8 @@ class Chip:
         index = within("index", self.index, LEAST_INDEX, MOST_INDEX, "unfolding needs n^2 of at least 2")
         if index.ndim != 1 or not index.size:
             raise InputError("index", index.shape, "one number per wavelength")
-        if (self.bottom == "mirror") != (self.mirror is not None):
-            raise InputError("mirror", self.mirror, "a surface where bottom is mirror, and only there")
+        if self.bottom != "air_gap" and (self.bottom == "mirror") != (self.mirror is not None):
+            raise InputError("mirror", self.mirror, "a surface where bottom is mirror, and none where it is contact")
 
 
 @dataclass(frozen=True)

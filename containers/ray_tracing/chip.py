@@ -298,7 +298,7 @@ def _bottom(
     what, dx, dy, dz = scatter(surfaces, of.SIDE_IN, wave, n, 1.0, dx, dy, dz, stream, BOTTOM_KIND)
     follow_up(stream, BOTTOM_KIND)
     while what == TRANSMITTED:  # in the gap, between the substrate and the chip's bottom
-        what, dx, dy, dz = scatter(surfaces, of.SUBSTRATE, wave, 1.0, 1.0, dx, dy, dz, stream, BOTTOM_KIND)
+        what, dx, dy, dz = scatter(surfaces, of.BOTTOM, wave, 1.0, 1.0, dx, dy, dz, stream, BOTTOM_KIND)
         follow_up(stream, BOTTOM_KIND)
         if what != REFLECTED:
             return ABSORBED, 0.0, 0.0, 0.0

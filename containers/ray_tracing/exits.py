@@ -32,7 +32,7 @@ from luxloop.process import usable_cores
 Real = NDArray[np.float64]
 Single = NDArray[np.float32]
 
-VERSION = 9
+VERSION = 10
 """Of the walk inside the chip and what it notes: another number makes other keys."""
 LANDING = 0x9E3779B97F4A7C15
 """Landing draws with the seed turned by this, so that it shares no number with the walk inside the chip."""

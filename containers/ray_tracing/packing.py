@@ -332,8 +332,8 @@ def _flags(scene: Scene, tables: tuple[int, int, int]) -> NDArray[np.int64]:
 
 
 def _is_plain(waves: tuple[Bsdf, ...]) -> bool:
-    """Whether a face only reflects and refracts."""
-    return all(part.kind in (MIRROR, REFRACTED) for bsdf in waves for part in parts_of(bsdf))
+    """Whether a face only reflects and refracts, its share of each in one part: the unfolded walk reads no others."""
+    return all([part.kind for part in parts_of(bsdf)] == [MIRROR, REFRACTED] for bsdf in waves)
 
 
 def quantiles(x: Real, density: Real) -> Real:

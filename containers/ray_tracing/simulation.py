@@ -77,10 +77,9 @@ def simulate(
     refuse_too_many([effects.camera(camera) for camera in request.images])
     refuse_other_film(request, film, effects)
     scene = scene_of(request.environment, request.design, film, layout_of(request))
-    if request.method == "twin" and effects.beyond_twin:
-        names = ", ".join(effects.beyond_twin)
-        raise InputError("method", "twin", "monte_carlo", f"the twin cannot represent {names}")
     bare = with_tops(scene, request.environment, film, effects)
+    if request.method == "twin" and (names := effects.beyond_twin_in(bare)):
+        raise InputError("method", "twin", "monte_carlo", f"the twin cannot represent {', '.join(names)}")
     idle = effects.idle_in(bare, request.design.dbr_pairs, bool(request.images))
     result, arrays = simulate_scene(request, effects.scene(bare), film, source, progress, threads, effects)
     return result | {"warnings": idle + result["warnings"]}, arrays

@@ -342,6 +342,23 @@ def test_a_bottom_that_lets_light_through_loses_it() -> None:
         assert ledger_a[ENDS.index("substrate")] == pytest.approx(ledger_b[ENDS.index("substrate")], abs=0.012)
 
 
+def test_a_top_of_two_mirrors_is_walked_face_by_face() -> None:
+    """Regression: of a top with some metal on it the unfolded walk took all but the first part for absorbed (100 %).
+
+    Upwards in the escape cone, above a perfect mirror: the sum of round trips.
+    """
+    inside = Mixture((Mirror(0.9), Fresnel(N, 1.0)), (0.2, 0.8))
+    up = Emission(cosine=np.array([0.98999, 0.99, 1.0]), intensity=np.array([0.0, 1.0, 1.0]))
+    closed = {"bottom": "mirror", "mirror": Mirror(1.0)}
+    of = scene({"top": Face((inside,), (Fresnel(1.0, N),)), **closed}, emission=up)
+    assert scene_arrays(of).flags[UNFOLD] == 0
+    rays, ledger, _ = exits_of(of, count=16_384)
+    bare_face = ((N - 1.0) / (N + 1.0)) ** 2
+    out, lost = 0.8 * (1.0 - bare_face), 0.2 * 0.1
+    assert rays[:, WEIGHT_OF_EXIT].sum() / 16_384 == pytest.approx(out / (out + lost), abs=5e-3)
+    assert ledger[ENDS.index("dbr")] == pytest.approx(lost / (out + lost), abs=5e-3)
+
+
 def test_a_top_that_scatters_is_walked_face_by_face() -> None:
     """Regression: below clear sides the unfolded walk took the scattered light for absorbed (73 % of all)."""
     of = scene({"top": rough_top()})

@@ -177,9 +177,11 @@ def test_a_plate_brings_what_is_missing_from_outside_of_the_view() -> None:
     whole = np.random.default_rng(1).standard_normal((120, 120))
     hazy = Plate(0.3, 300.0, (1e9, 1e9))
     light = LightMap(np.ones((40, 40)), (-487.5, -487.5), 25.0)
-    known = Difference(whole, np.ones((120, 120)), 25.0, Plate(0.0, 0.0, hazy.half_um))
-    found, _ = known.laid(light, hazy)
+    known = Difference(whole, 2.0 + whole, 25.0, Plate(0.0, 0.0, hazy.half_um))
+    found, twin = known.laid(light, hazy)
     np.testing.assert_allclose(found, (whole + hazy.more(whole, 25.0))[40:-40, 40:-40], atol=1e-12)
+    behind = 2.0 + whole + hazy.more(2.0 + whole, 25.0)
+    np.testing.assert_allclose(twin.irradiance_per_mm2, behind[40:-40, 40:-40], atol=1e-12)
     for step_um in (10.0, 100.0, 200.0):
         even = Plate(0.5, 50.0, (1e9, 1e9)).more(np.ones((200, 200)), step_um)
         assert np.abs(even[90:110, 90:110]).max() < 1e-9

@@ -71,10 +71,10 @@ class Difference:
 
         It stays where it is about the module's centre: chips do, where the receiver is further away.
         """
-        missing, shape = self.missing, light.irradiance_per_mm2.shape
+        maps, shape = [self.missing, self.twin], light.irradiance_per_mm2.shape
         if plate != self.plate:
-            missing = missing + (plate.more(missing, self.step_um) - self.plate.more(missing, self.step_um))
-        missing, twin = (_resampled(one, self.step_um, shape, light.step_um) for one in (missing, self.twin))
+            maps = [one + (plate.more(one, self.step_um) - self.plate.more(one, self.step_um)) for one in maps]
+        missing, twin = (_resampled(one, self.step_um, shape, light.step_um) for one in maps)
         return missing, replace(light, irradiance_per_mm2=twin)
 
     @property

@@ -141,10 +141,9 @@ def open_way(scene: Scene, box: Box) -> Way:
     """The arrays that direct light is traced in."""
     _, followed = lambertian_part(scene.receiver.bsdf)
     white, kept = without_loss(scene.substrate)
-    # the chip's bottom stays as it is: what is lost there decides how long a ray stays inside
-    chip = (
-        scene.chip if scene.chip.bottom != "contact" else replace(scene.chip, bottom="mirror", mirror=scene.substrate)
-    )
+    # the chip's bottom stays as it is: what is lost there, or below a gap, decides how long a ray stays inside
+    beneath = scene.chip.mirror or scene.substrate
+    chip = replace(scene.chip, bottom="air_gap" if scene.chip.bottom == "air_gap" else "mirror", mirror=beneath)
     receiver = replace(scene.receiver, bsdf=Lambertian(0.0))
     black = replace(scene, chip=chip, substrate=white, receiver=receiver, leak_share=0.0, leak_um=0.0)
     arrays = scene_arrays(black)

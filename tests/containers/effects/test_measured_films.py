@@ -160,6 +160,16 @@ def test_an_effect_that_finds_no_film_says_so(tmp_path: Path) -> None:
     assert "warnings" not in coated
 
 
+def test_an_effect_that_needs_another_one_is_asked_after_it() -> None:
+    """A mixed layer of 8 nm in an oxide of 1.5 nm and 10 more: regression, it was asked without them, and refused."""
+    acting = effects(
+        film_missing_layer={"thickness_nm": 10.0, "material": "SiO2", "face": "inner"},
+        film_interlayer={"thickness_nm": 8.0, "face": "inner"},
+    )
+    thin = Layer(medium=Medium(n=1.45), thickness_nm=5.0)
+    assert acting.idle_on(Stack(inside=SI, layers=(OXIDE, thin), outside=AIR), WAVE) == []
+
+
 class Recoats(StackEffect):
     """A user's effect that makes its layers anew."""
 

@@ -14,11 +14,13 @@ import pytest
 from numpy.typing import NDArray
 
 from containers.acting import NONE, Effects
+from containers.bsdf import Lambertian
 from containers.catalogue import Catalogue
 from containers.effect import CurveEffect, DetectorEffect, Effect, Reading, SceneEffect, StackEffect, changed
 from containers.ray_tracing.exit_source import ExitSource
+from containers.ray_tracing.several_tops import scenes_of
 from containers.ray_tracing.worker import RayComputation
-from containers.scene import Array, Scene
+from containers.scene import Array, Face, Scene
 from containers.stack import dbr_of
 from containers.thin_film.worker import FilmComputation
 from luxloop.camera import Camera
@@ -27,7 +29,7 @@ from luxloop.design import Design
 from luxloop.effect import AppliedEffect, EffectSpec, Value
 from luxloop.model import Environment
 from luxloop.ray import AnchorRequest, ChipArray, PredictionRequest, ShotRequest
-from tests.ray_scenes import scene
+from tests.ray_scenes import film_face, scene
 
 Real = NDArray[np.float64]
 SPECS = {spec.name: spec for spec in Catalogue().specs}
@@ -145,6 +147,40 @@ def test_nothing_applied_is_nothing(ask: Ask) -> None:
     """The effects of a request that names none."""
     assert ask()["images_per_mm2"].shape == (1, 16, 16)
     assert NONE.all == ()
+
+
+def test_effects_are_asked_one_after_the_other_whether_they_change_anything() -> None:
+    """A layer's thickness needs its place, which the effect before it gives; a walls' off changes nothing."""
+    applied = [
+        AppliedEffect(name="active_layer_depth", parameters={"depth": 0.9}),
+        AppliedEffect(name="active_layer_thickness", parameters={"reach": 0.3}),
+        AppliedEffect(name="edge_walls", parameters=off_of(SPECS["edge_walls"])),
+        AppliedEffect(name="receiver_tilt", parameters={"tilt_x_per_mm": 0.01, "tilt_y_per_mm": 0.0}),
+    ]
+    acting = Catalogue().effects(applied, "ray-tracing")
+    module = replace(scene(), layout=Array.regular(3, 3, 400.0, 700.0))
+    (said,) = acting.idle_in(module, 2.5, images=False)
+    assert said.startswith("edge_walls has no influence: ")
+    assert (acting.beyond_twin, acting.beyond_twin_in(module)) == (["edge_walls", "receiver_tilt"], ["receiver_tilt"])
+
+
+class Darkens(SceneEffect):
+    """A user's effect that makes every other top face black."""
+
+    name, stage, twin = "darkens", "surface", True
+
+    def scene(self, scene: Scene) -> Scene:
+        black = Face((Lambertian(0.0),) * len(scene.chip.top.inside), scene.chip.top.outside)
+        return replace(scene, chip=replace(scene.chip, top=black))
+
+
+def test_an_effect_on_the_top_acts_on_the_tops_of_all_films() -> None:
+    """Regression: where chips had several films, those at other places kept the face without it."""
+    film, base = film_face(2.5), replace(scene(), layout=Array.regular(3, 3, 400.0, 700.0))
+    shares = np.eye(3)
+    tops = tuple(zip((base.chip.top, film, film_face(5.5)), shares, strict=True))
+    dark = Effects((Darkens(),)).scene(replace(base, tops=tops))
+    assert [one.chip.top.inside for one in scenes_of(dark)] == [(Lambertian(0.0),)] * 3
 
 
 @pytest.mark.parametrize(
