@@ -35,6 +35,7 @@ from luxloop.client import Client
 from luxloop.door import LOST_S, RunDoor
 from luxloop.endpoint import listening
 from luxloop.errors import InputError, RemoteError
+from luxloop.failure import printable
 from luxloop.model import Model
 from luxloop.model_file import find_model, to_toml
 from luxloop.process import usable_cores
@@ -170,7 +171,7 @@ class Start:
 
     def _facts(self) -> dict[str, Any]:
         return {
-            "argv": sys.argv[1:],
+            "argv": [printable(word) for word in sys.argv[1:]],
             "version": __version__,
             "model_sha256": self.model.sha256,
             "campaign_sha256": sha256_of(self.campaign),

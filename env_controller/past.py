@@ -19,8 +19,9 @@ from luxloop.bus.keys import HOLD_S
 from luxloop.campaign import Begin, End, Ended, Plan, Step
 from luxloop.errors import LuxloopError, RemoteError
 from luxloop.failure import Failure
-from luxloop.journal.reader import RunJournal, segments_of
+from luxloop.journal.reader import RunJournal, segments_of, tail_of
 from luxloop.journal.scan import Scan
+from luxloop.journal.segment import write_side_file
 from luxloop.journal.topics import Close
 from luxloop.messages import Nothing
 from luxloop.ray import Film
@@ -82,13 +83,13 @@ def ended_before(folder: Path, end: End) -> Ended | None:
     try:
         journal = RunJournal(folder)
         mine = journal.metadata("run").get("designer") == end.designer
-        mark = read_side_file(folder)
-        if (
-            mine
-            and mark is not None
-            and journal.segments[-1].index is not None
-            and journal.close == Close(end.reason, end.complete)
-        ):
+        over = journal.segments[-1].index is not None and journal.close == Close(end.reason, end.complete)
+        if mine and over:
+            kept, mark = read_side_file(folder), tail_of(folder)
+            if kept is None or kept.records < mark.records:  # a controller that was killed here has not written it
+                write_side_file(folder, mark)
+            elif kept != mark:
+                return None
             return Ended(run=end.run, records=mark.records, root=mark.root, folder=str(folder.resolve()))
     except (LuxloopError, OSError, ValueError):  # ValueError: a side file that holds no mark
         pass

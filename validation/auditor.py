@@ -111,7 +111,10 @@ def decided(document: Mapping[str, Any], at: Place) -> None:
     at.exact("sentence", document["sentence"], shots_in_words(document, document["sentence"]))
     at.exact("trusted", document["trusted"], not document["reason"])
     z = [one["z"] for one in structure["families"]]
-    at.exact("families, the largest first", structure["statistic"], max(z, default=structure["statistic"]))
+    # older records lack what single places and fine patterns have: there the statistic may be theirs
+    others = [structure[name] for name in ("place", "pattern")] if "place" in structure else [structure["statistic"]]
+    largest = max(one for one in (*z, *others) if one is not None)
+    at.exact("families, the largest first", structure["statistic"], largest)
     chances = [one["log_chance"] for one in document["regions"]]
     at.exact("regions, the least likely first", chances, sorted(chances))
 

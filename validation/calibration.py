@@ -151,7 +151,9 @@ def calibrated(
     before = compared(model, observed, predictor, replace(solver, most_histories=0), cache=cache)
     stages: list[Stage] = []
     if way is not None:
-        experiment = Experiment(observed.images, before.fit.poses, predictor, solver.anchor(model))
+        found = before.fit
+        named = found.problem.unknowns.named(found.values)
+        experiment = Experiment(observed.images, found.poses, named, predictor, solver.anchor(model))
         if way == "joint":
             stages = list(experiment.joint(model, progress))
             for stage in stages:

@@ -7,6 +7,7 @@ commands print, pages show and journals keep.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -115,6 +116,7 @@ class Comparison:
             "reason": "; ".join(self.fit.distrust),
             "structure": {
                 "p": found.p, "p_text": found.p_text, "z": found.z, "statistic": found.statistic,
+                "place": found.place, "pattern": found.pattern,
                 "draws": found.draws, "seed": found.seed, "chi2_per_pixel": self.fit.chi2_per_row,
                 "variance_scale": found.variance_scale, "model_noise_share": self.model_noise_share,
                 "family": worst.family if worst else "", "shot": worst.shot or ALL if worst else "",
@@ -226,10 +228,10 @@ class Comparison:
         known = {one.name: one for one in unknowns.parameters}
         return [
             {
-                "path": name, "value": self.fit.value(name), "error": self.fit.error(name),
+                "path": name, "value": self.fit.value(name), "error": error if math.isfinite(error) else None,
                 "lower": known[name].lower, "upper": known[name].upper, "at_limit": name in self.fit.at_limit,
             }
-            for name in names
+            for name, error in ((name, self.fit.error(name)) for name in names)
         ]  # fmt: skip
 
 

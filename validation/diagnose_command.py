@@ -159,8 +159,8 @@ def diagnose(
         told_of["warnings"] += overstated_of(found.steps[0].ground.fit, told_of["shots"])
         at.record(told_of, maps_of(found.steps[0].ground.fit))
         arrays = arrays_of(found) if draw is not None else {}
-    keep(subject, told_of)
     typer.echo(json.dumps(told_of, ensure_ascii=False) if as_json else "\n".join(told.diagnosis(told_of)))
+    keep(subject, told_of)
     drawn(draw, told_of, lambda: arrays, page)
 
 
@@ -227,16 +227,19 @@ def next_(
 
 
 def keep(subject: Subject, document: dict[str, Any]) -> None:
-    """The verdict beside the model file, for `next`; nothing of a shipped model."""
+    """The verdict beside the model file, for `next`; nothing of a shipped model. A disk that is full is told."""
     file = last_file(subject.file)
     if file is None:
         return
     small = {
         name: document[name] for name in ("verdict", "sentence", "set", "rivals", "model_sha256", "dataset_sha256")
     }
-    file.parent.mkdir(parents=True, exist_ok=True)
-    with whole(file) as fresh:
-        fresh.write_text(json.dumps(small), encoding="utf-8")
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        with whole(file) as fresh:
+            fresh.write_text(json.dumps(small), encoding="utf-8")
+    except OSError as error:
+        typer.echo(f"luxloop: the verdict is not kept for `luxloop next`: {file}: {error.strerror}", err=True)
 
 
 def last_file(model: str) -> Path | None:

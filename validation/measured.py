@@ -42,6 +42,8 @@ from validation.dataset.manifest import (
 from validation.dataset.spectra import FarFieldTable, SpectrumTable, read_far_field, read_spectrum
 
 PIXELS_PER_PITCH = 16
+MOST_BINS = 100_000
+"""Of an image: its residuals go on record as text, of which a message holds a megabyte."""
 DARKER = 5.0
 """Standard errors that the mean of an image without any light may be below its black."""
 
@@ -130,12 +132,23 @@ def measured_images(dataset: Dataset, compare_pixel_um: float | None = None) -> 
         if min(raw.shape) < factor:
             allowed, mend = f"at least {factor} x {factor} pixels, one bin", "is pixel_um right, in um?"
             raise InputError(f"{shot.file}: size", raw.shape, allowed, mend)
+        _refuse_too_many_bins(raw.shape, factor, camera.pixel_um, shot.file)
         corrected_by = correction(raw.shape, shot.dark, shot.flat, shot.mask)
         images.append(_measured(dataset.manifest, shot, raw, corrected_by, factor))
         if images[-1].signal_dn.shape != images[0].signal_dn.shape:
             value, allowed = f"{raw.shape[0]} x {raw.shape[1]} pixels", f"as large as {shots[0].file}"
             raise InputError(f"{shot.file}: size", value, allowed, "crop them alike, or make two data sets")
     return images
+
+
+def _refuse_too_many_bins(shape: tuple[int, ...], factor: int, pixel_um: float, file: str) -> None:
+    """InputError for an image of more bins than a worker predicts at once and a record in the journal holds."""
+    rows, columns = (size // factor for size in shape)
+    if rows * columns > MOST_BINS:
+        larger = math.ceil(math.sqrt(shape[0] * shape[1] / MOST_BINS)) * pixel_um
+        mend = f"--pixel-um {larger:g} (compare, where, diagnose, ...), or crop the images"
+        value = f"{rows} x {columns} bins of {factor * pixel_um:g} um"
+        raise InputError(f"{file}: size", value, f"at most {MOST_BINS:,} bins in an image", mend)
 
 
 def refuse_no_pixel(compare_pixel_um: float | None) -> None:
@@ -182,6 +195,7 @@ class _Correction:
     inverse_mean: Real  # mean over the bin of 1/flat
     inverse_square: Real  # mean over the bin of 1/flat^2
     dark_dn: Real | None  # mean over the bin of dark/flat; none: the black level is subtracted
+    dark: Pixels | None = None  # as in its file
 
     def binned(self, raw: Pixels, factor: int) -> Real:
         """The mean over bins of raw/flat."""
@@ -201,7 +215,15 @@ def _correction(
     if dark is None:
         return correction
     whole = _finite(read(dark), np.zeros(shape, np.bool_) if ignored is None else ignored, dark)
-    return replace(correction, dark_dn=correction.binned(whole, factor))
+    return replace(correction, dark_dn=correction.binned(whole, factor), dark=whole)
+
+
+def rounded(values: Pixels, frames: int) -> float:
+    """Variance in DN^2 of the rounding of a mean of frames that was saved as whole numbers; 0 of one with fractions.
+
+    That of each frame is in `CameraFacts.dark_variance_dn2`.
+    """
+    return 1.0 / 12.0 if values.dtype.kind in "ui" and frames > 1 else 0.0
 
 
 def inverse_flat(flat: Pixels, ignored: NDArray[np.bool_] | None, name: str) -> NDArray[np.float32]:
@@ -240,8 +262,11 @@ def _measured(
         )
     black = camera.black_level_dn * correction.inverse_mean if correction.dark_dn is None else correction.dark_dn
     bin_and_frames = factor**2 * shot.frames_averaged
-    of_image = camera.dark_variance_dn2 / bin_and_frames
-    of_dark = 0.0 if shot.dark is None else camera.dark_variance_dn2 / (factor**2 * shot.dark_frames)
+    of_image = (camera.dark_variance_dn2 / shot.frames_averaged + rounded(raw, shot.frames_averaged)) / factor**2
+    of_dark = 0.0
+    if shot.dark is not None:
+        again = rounded(correction.dark, shot.dark_frames) if correction.dark is not None else 0.0
+        of_dark = (camera.dark_variance_dn2 / shot.dark_frames + again) / factor**2
     like = np.ones(signal.shape)
     constant_dn2 = (of_image + of_dark) * correction.inverse_square * like
     signal = signal - black

@@ -25,6 +25,7 @@ from luxloop.client import Client
 from luxloop.design import Bounds, Design
 from luxloop.door import RunDoor
 from luxloop.errors import InputError
+from luxloop.failure import printable
 from luxloop.model import Data, Model
 from luxloop.model_file import SHIPPED, find_model, parse_toml, read_text, to_toml
 from luxloop.settings import Settings, usable_cache
@@ -163,7 +164,10 @@ def session(
         sys.stderr.writelines(f"luxloop: {fault}\n" for fault in faults)
     name = f"{datetime.now(UTC):%Y%m%d-%H%M%S}-{command}-{os.getpid()}"
     with Client(settings, local=local, patience_s=PATIENCE_S) as client:
-        facts = {"argv": sys.argv[1:], "version": __version__, "dataset_sha256": subject.dataset.sha256}
+        facts = {
+            "argv": [*map(printable, sys.argv[1:])], "version": __version__,
+            "dataset_sha256": subject.dataset.sha256,
+        }  # fmt: skip
         with RunDoor.begin(client, _plan(name, subject), facts, _attachments(subject)) as door:
             asking = Asking(client)
             if subject.model.effects:  # before anything is traced

@@ -120,7 +120,8 @@ def _curve(shot: Document) -> tuple[str, ...]:
 
 def _parameter(row: Document) -> tuple[str, str, str]:
     unit = unit_of(row["path"])
-    value = f"{row['value']:.5g} +- {row['error']:.2g} {unit}".rstrip()
+    error = "not seen by these data" if row["error"] is None else f"+- {row['error']:.2g} {unit}"
+    value = f"{row['value']:.5g} {error}".rstrip()
     held = ", held at its limit" if row["at_limit"] else ""
     return row["path"], value, f"{row['lower']:g} to {row['upper']:g}{held}"
 

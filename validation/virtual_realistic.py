@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from luxloop.errors import InputError
 from luxloop.model import Model, Surface
 from luxloop.words import parse
-from validation.fit.problem import ImagePredictor, view_of
+from validation.fit.problem import ImagePredictor, sensor_of, view_of
 from validation.measured import MeasuredImage
 from validation.prediction import Anchored, Pose
 
@@ -133,6 +133,8 @@ class Experiment:
 
     images: Sequence[MeasuredImage]
     poses: Mapping[str, Pose]
+    values: Mapping[str, float]
+    """Of the fit before, by name: gains and offsets, which sensors' effects depend on."""
     predictor: ImagePredictor
     anchor: Anchored
 
@@ -145,6 +147,9 @@ class Experiment:
         for candidate in candidates:
             model = candidate.applied(model)
         views = [view_of(image, self.poses[image.shot.id]) for image in images]
+        if model.effects:
+            sensors = [sensor_of(image, self.values) for image in images]
+            views = [replace(view, sensor=sensor) for view, sensor in zip(views, sensors, strict=True)]
         anchor = replace(self.anchor, poses=tuple(self.poses[image.shot.id] for image in images))
         found = self.predictor.images(model, views, (), anchor)
         errors = [errors_of(image, one.irradiance_per_mm2) for image, one in zip(images, found, strict=True)]

@@ -26,6 +26,7 @@ from luxloop.bus.keys import KEYS, at, name_of
 from luxloop.endpoint import listening
 from luxloop.errors import RemoteError
 from luxloop.failure import Code, Failure
+from luxloop.process import orphaned
 from luxloop.settings import Settings
 
 PRESENT_S = 2.0
@@ -177,6 +178,7 @@ def run_router(settings: Settings, stop: threading.Event) -> None:
     Raises RemoteError where it cannot listen there, InputError where its certificate cannot be used.
     """
     identity = Identity.of(settings, "router")
+    zenoh.init_log_from_env_or("off")
     session = _open(of_router(settings, identity), settings, identity, as_router=True)
     try:
         stop.wait()
@@ -187,13 +189,16 @@ def run_router(settings: Settings, stop: threading.Event) -> None:
 
 
 def _wait_for_router(settings: Settings, identity: Identity | None) -> None:
-    """Return once a router listens. Raises RemoteError where its certificate and ours do not fit together."""
-    if identity is None:
-        return  # zenoh waits by itself
+    """Return once a router listens: zenoh's own waiting cannot be interrupted.
+
+    Raises RemoteError where its certificate and ours do not fit together, or the process that started us has gone.
+    """
+    zenoh.init_log_from_env_or("off")  # RUST_LOG shows zenoh's side; of commands their answer is there
     while not answering(settings, identity):
+        if orphaned():
+            raise RemoteError(Failure(code="no_router", message="the process that started this one has gone"))
         time.sleep(0.2)
-    failure = refusal(settings, identity)
-    if failure is not None:
+    if identity is not None and (failure := refusal(settings, identity)) is not None:
         raise RemoteError(failure)
 
 
@@ -203,7 +208,6 @@ def _open(
     config = zenoh.Config()
     for path, value in told.items():
         config.insert_json5(path, json.dumps(value))
-    zenoh.init_log_from_env_or("off")  # what goes wrong is said by our own errors; RUST_LOG shows zenoh's side
     try:
         return zenoh.open(config)
     except zenoh.ZError as error:

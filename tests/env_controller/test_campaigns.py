@@ -20,6 +20,7 @@ from luxloop.campaign import Action, AgentRecord, Begin, Begun, End, Ended, Move
 from luxloop.errors import RemoteError
 from luxloop.failure import Failure
 from luxloop.journal.journal import Journal
+from luxloop.journal.segment import SIDE_FILE
 from luxloop.journal.topics import ValidationStep, opening
 from luxloop.messages import Nothing, Receipt
 from luxloop.words import Words
@@ -411,6 +412,33 @@ def test_who_asks_for_a_run_whose_journal_takes_long_to_read_comes_back(
     desk.controller._campaigns.tick(time.monotonic() + past.KEPT_S + 1.0)
     assert not reader._pasts
     assert (second.message, reads) == (None, ["d"])
+
+
+@pytest.mark.parametrize("segments", [1, 2])
+def test_an_end_whose_side_file_was_not_written_is_told_by_the_journal(
+    desk: Desk, tmp_path: Path, segments: int
+) -> None:
+    """A controller that was killed between the two: none is there, or that of the segment before."""
+    desk.begin()
+    desk.evaluated(0)
+    folder, before = tmp_path / "runs" / "one", b""
+    if segments == 2:
+        desk.put("end", End(run="one", designer="d", reason="interrupted", complete=False), name="one").wait()
+        before = (folder / SIDE_FILE).read_bytes()
+        question = desk.put("begin", Begin(plan=plan(), designer="e", resume=True))
+        event = desk.controller._inbox.take(WAIT_S)  # asked once more when the journal has been read
+        assert event is not None
+        desk.controller.take(event)
+        assert isinstance(question.wait(), Begun)
+        desk.evaluated(1, designer="e", move=Move(variable="width_um", steps=1))
+    designer = "e" if segments == 2 else "d"
+    end = End(run="one", designer=designer, reason="enough", complete=True)
+    ended = desk.put("end", end, name="one").wait()
+    assert isinstance(ended, Ended)
+    side, true = folder / SIDE_FILE, (folder / SIDE_FILE).read_bytes()
+    side.write_bytes(before) if before else side.unlink()
+    assert past.ended_before(folder, end) == ended
+    assert side.read_bytes() == true
 
 
 def test_a_run_that_lies_elsewhere_is_told_so(tmp_path: Path) -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import signal
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable
@@ -16,7 +18,7 @@ from luxloop.bus.zenoh_bus import ZenohBus
 from luxloop.errors import RemoteError
 from luxloop.failure import Failure
 from luxloop.messages import Nothing, StatusAsked
-from luxloop.settings import Settings
+from luxloop.settings import Settings, as_environment
 from tests.conftest import start, state_of, stop, wait_for
 from tests.forks import Process
 
@@ -264,6 +266,27 @@ def test_everything_comes_back_after_a_router_restart(router: Process, settings:
             assert client.ask(STATUS, PING, 5.0) == b"fine"
         finally:
             stop(again)
+
+
+@pytest.mark.parametrize("how", ["interrupted", "left behind"])
+def test_a_worker_that_waits_for_a_router_can_be_ended(settings: Settings, how: str) -> None:
+    """By Ctrl-C, and where who started it has gone: zenoh's own waiting knew of neither."""
+    environment = as_environment(settings) | ({"LUXLOOP_WITH_PARENT": "1"} if how == "left behind" else {})
+    code = (
+        "from luxloop.bus.zenoh_bus import ZenohBus; from luxloop.settings import load_settings\n"
+        "print('waits', flush=True)\nZenohBus(load_settings(), patient=True)\n"
+    )
+    argv, null = [sys.executable, "-c", code], subprocess.DEVNULL
+    with subprocess.Popen(argv, env=environment, stdout=subprocess.PIPE, stderr=null) as waits:
+        assert waits.stdout is not None
+        assert waits.stdout.readline() == b"waits\n"
+        time.sleep(0.5)
+        if how == "interrupted":
+            waits.send_signal(signal.SIGINT)
+        try:
+            assert waits.wait(10.0) != 0
+        finally:
+            waits.kill()
 
 
 def test_a_process_with_an_open_session_ends_when_it_raises(router: object, settings: Settings) -> None:

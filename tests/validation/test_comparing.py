@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import math
+from collections.abc import Sequence
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -11,7 +13,9 @@ import numpy as np
 import pytest
 
 from luxloop.audit import Compared, Place
+from luxloop.effect import AppliedEffect
 from luxloop.errors import InputError
+from luxloop.model import Model
 from luxloop.model_file import find_model
 from tests.validation import analytic as spots
 from validation import reexecute, told, virtual_realistic
@@ -21,7 +25,9 @@ from validation.calibrate_command import paths_of
 from validation.calibration import calibrated
 from validation.compare_command import errors_of as errors_kept
 from validation.comparing import Solver, compared, differing
+from validation.fit.problem import sensor_of
 from validation.observed import Observed
+from validation.prediction import Predicted, View
 from validation.profiles import profiles
 from validation.virtual_realistic import KINDS, Candidate, Experiment, errors_of, line_of
 
@@ -189,9 +195,37 @@ def test_a_candidate_changes_one_surface_and_its_fit() -> None:
     )
 
 
+def test_a_value_that_no_shot_sees_has_no_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Regression: infinite, it could not be put on record, and nothing was told at all."""
+    found = compared(spots.MODEL, observed(), spots.Spots(), Solver(None), free=tuple(spots.MODEL.fit))
+    monkeypatch.setattr(type(found.fit), "error", lambda *_: math.inf)
+    document = json.loads(json.dumps(found.document(), allow_nan=False))
+    assert [one["error"] for one in document["parameters"]] == [None] * len(spots.MODEL.fit)
+    assert any("not seen by these data" in line for line in told.comparison(document | {"warnings": []}))
+
+
+def test_candidates_of_a_surface_are_seen_by_the_sensor_that_the_fit_has() -> None:
+    """Regression: an effect on a sensor's signal acted on irradiances, of a camera with gain 1: not at all."""
+    seen: list[View] = []
+
+    class Watched(spots.Spots):
+        def images(self, model: Model, views: Sequence[View], *more: Any, **options: Any) -> list[Predicted]:
+            seen.extend(views)
+            return super().images(model, views, *more, **options)
+
+    found = compared(spots.MODEL, observed(), spots.Spots(), Solver(None)).fit
+    values = found.problem.unknowns.named(found.values)
+    images = observed().images
+    for effects in ((), (AppliedEffect(name="nonlinearity", parameters={"bend": 0.05}),)):
+        experiment = Experiment(images, found.poses, values, Watched(), Solver(None).anchor(spots.MODEL))
+        experiment.tried(spots.MODEL.model_copy(update={"effects": effects}), [], images)
+    assert [view.sensor for view in seen[:2]] == [None, None]
+    assert [view.sensor for view in seen[2:]] == [sensor_of(image, values) for image in images]
+
+
 def test_an_experiment_needs_images_of_both_layouts() -> None:
     """Said by name, before anything is predicted."""
-    experiment = Experiment((), {}, spots.Spots(), Solver(None).anchor(spots.MODEL))
+    experiment = Experiment((), {}, {}, spots.Spots(), Solver(None).anchor(spots.MODEL))
     with pytest.raises(InputError, match="layout single"):
         experiment.stage(find_model("paper"), "substrate", lambda *_: None)
 

@@ -97,3 +97,5 @@ def test_too_small_an_image_is_refused() -> None:
     with pytest.raises(InputError, match="16 x 16"):
         find_lattice(np.ones((12, 40)))
     assert find_lattice(np.ones((40, 40))) is None
+    for shape in ((16, 4096), (20, 4096), (4096, 20)):  # regression: it was binned to nothing
+        find_lattice(np.random.default_rng(1).random(shape))

@@ -55,6 +55,29 @@ def test_without_dark_and_flat_the_black_level_is_subtracted(folder: Path) -> No
     assert image.used.all()
 
 
+def test_a_mean_that_was_rounded_to_whole_numbers_has_that_noise_too(folder: Path) -> None:
+    """Frames round each by itself, a mean in whole DN once more; one with fractions does not."""
+    import tifffile
+
+    edit(folder, "exposure_ms = 4.0", "exposure_ms = 4.0\nframes_averaged = 64")
+    of_frames = ((GAIN * READ_NOISE_E) ** 2 + 1.0 / 12.0) / 64.0
+    whole = images(folder, BIN_UM)["array"].constant_dn2
+    put(folder, "images/array.tif", tifffile.imread(folder / "images/array.tif").astype(np.float32))
+    fractions = images(folder, BIN_UM)["array"].constant_dn2
+    np.testing.assert_allclose(whole, (of_frames + 1.0 / 12.0) / 4.0)
+    np.testing.assert_allclose(fractions, of_frames / 4.0)
+
+
+def test_more_bins_than_a_record_holds_are_refused_before_anything_is_fitted(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With the size of bin that would do."""
+    monkeypatch.setattr("validation.measured.MOST_BINS", 1000)
+    with pytest.raises(InputError, match=r"48 x 48 bins of 48 um.*at most 1,000 bins.*--pixel-um 96"):
+        images(folder, BIN_UM)
+    assert images(folder, 96.0)["array"].signal_dn.size <= 1000
+
+
 def test_a_dark_replaces_the_black_level_and_a_flat_of_mean_one_divides(folder: Path) -> None:
     """(raw - dark) / (flat / mean of flat), the mean over the unmasked field."""
     rng = np.random.default_rng(5)
@@ -134,7 +157,8 @@ def test_variance_terms_are_the_formula(folder: Path) -> None:
     edit(folder, "black_level_dn = 64.0", "black_level_dn = 64.0\nprnu_percent = 0.3")
     image = images(folder, BIN_UM)["array"]
     assert image.slope_dn[0, 0] == pytest.approx(GAIN / 64.0)
-    assert image.constant_dn2[0, 0] == pytest.approx(((GAIN * READ_NOISE_E) ** 2 + 1.0 / 12.0) / 64.0)
+    of_frames = (GAIN * READ_NOISE_E) ** 2 + 1.0 / 12.0
+    assert image.constant_dn2[0, 0] == pytest.approx((of_frames / 16.0 + 1.0 / 12.0) / 4.0)  # a mean in whole DN
     assert image.prnu == pytest.approx(0.0015)
     assert not image.dark_dn2.any()
 

@@ -89,6 +89,8 @@ class Structure:
     p_text: str  # "< 1/10000" where no draw was as large
     z: float  # normal equivalent of p; a lower limit where no draw was as large
     statistic: float  # the largest standardised family, single place, or fine pattern
+    place: float  # of the single places the largest
+    pattern: float | None  # of the fine patterns the largest; None: none can be looked for
     families: tuple[FamilyFound, ...]  # the largest first
     shots: dict[str, ShotFound]
     where: tuple[Region, ...]  # the least likely first
@@ -131,13 +133,16 @@ def judged(residual: Real, layout: Layout, projection: Basis, variances: Varianc
     waves = [pattern.loudest(residual) for pattern in layout.patterns]
     regions = _regions(layout, local_z, energies, waves, drawn)
     families = _families(layout, energies, drawn)
-    largest = max(families[0].z, float(drawn.peak_z(peaks).max()), *(wave.z for wave in waves))
+    place, pattern = float(drawn.peak_z(peaks).max()), max((wave.z for wave in waves), default=None)
+    largest = max(families[0].z, place, *(() if pattern is None else (pattern,)))
     p, p_text = counted_p(drawn.largest, largest)
     return Structure(
         p=p,
         p_text=p_text,
         z=float(-ndtri(min(p, LARGEST_P))),
         statistic=largest,
+        place=place,
+        pattern=pattern,
         families=families,
         shots={shot: _shot(shot, residual, energies, peaks, drawn, regions) for shot in layout.shots},
         where=tuple(regions[:REGIONS]),

@@ -14,7 +14,7 @@ from luxloop.errors import InputError
 from validation.dataset.images import MASK_TYPES, Pixels, Real, TiffImage, binned_mean
 from validation.dataset.lattice import Lattice, find_lattice
 from validation.dataset.manifest import CameraFacts, ImageShot, Manifest, Sample
-from validation.measured import PIXELS_PER_PITCH
+from validation.measured import PIXELS_PER_PITCH, rounded
 
 PITCH_TOLERANCE, PITCH_TOLERANCE_OF_FEW = 0.12, 0.15
 """How far a pitch in the image may be from the manifest's; outer chips of a small array look nearer than they are."""
@@ -25,6 +25,8 @@ GAMMA_SLOPE = 0.2
 
 SLOPE_ERROR = 0.15
 """A slope known worse than this is not looked at."""
+LEAST_SIGMA_DN = 0.5
+"""Of a mean's noise: below it, rounding to whole numbers follows the signal and is no noise any more."""
 NOISE_PX = 600
 """Noise is estimated from the middle of the image, at most so many pixels wide and high."""
 
@@ -73,7 +75,7 @@ def image_faults(manifest: Manifest, shot: ImageShot, load: Load) -> Iterator[To
     usable = seen & np.isfinite(raw) & (raw < camera.saturation_dn)
     if usable.any() and np.ptp(raw[usable]) > 0:
         plain = _without_patterns(raw, dark, flat, camera.black_level_dn)
-        yield from _of_noise(plain, usable, camera, shot)
+        yield from _of_noise(plain, usable, camera, shot, rounded(raw, shot.frames_averaged))
         yield from _of_lattice(raw, usable, camera, manifest.sample(shot.sample), shot)
 
 
@@ -136,6 +138,11 @@ def _of_pixels(image: TiffImage, seen: NDArray[np.bool_], camera: CameraFacts, s
         mend = "values for a screen are gamma-encoded: export the raw image"
         yield Told(InputError(f"{shot.file}: profile", "a colour profile or transfer curve", "none", mend), "warning")
     yield from _of_steps(values, where)
+    sigma_dn = np.sqrt(camera.dark_variance_dn2 / shot.frames_averaged)
+    if rounded(raw, shot.frames_averaged) and sigma_dn < LEAST_SIGMA_DN:
+        value = f"a mean of {shot.frames_averaged} frames in whole DN, its noise {sigma_dn:.2g} DN"
+        mend = "rounding hides what averaging brought, and is no noise: save means as float32"
+        yield Told(InputError(where, value, "a mean with fractions", mend), "warning")
     saturated = int(np.count_nonzero(values >= camera.saturation_dn))
     if saturated:
         value = f"{saturated} of {values.size} pixels ({_percent(saturated, values.size)}) saturated"
@@ -177,13 +184,15 @@ def _without_patterns(raw: Pixels, dark: TiffImage | None, flat: TiffImage | Non
     return raw
 
 
-def _of_noise(raw: Pixels, usable: NDArray[np.bool_], camera: CameraFacts, shot: ImageShot) -> Iterator[Told]:
+def _of_noise(
+    raw: Pixels, usable: NDArray[np.bool_], camera: CameraFacts, shot: ImageShot, rounding_dn2: float
+) -> Iterator[Told]:
     """Noise that grows with the signal in another way than the camera's numbers say; gamma shows so."""
     law = _noise_law(raw, usable, camera)
     if law is None:
         return
     signal, found, weight = law
-    expected = (camera.gain_dn_per_e * signal + camera.dark_variance_dn2) / shot.frames_averaged
+    expected = (camera.gain_dn_per_e * signal + camera.dark_variance_dn2) / shot.frames_averaged + rounding_dn2
     if shot.dark is not None:
         expected += camera.dark_variance_dn2 / shot.dark_frames
     expected += (camera.prnu_percent / 100.0 * signal) ** 2

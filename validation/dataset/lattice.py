@@ -61,7 +61,7 @@ def find_lattice(image: Real, used: NDArray[np.bool_] | None = None) -> Lattice 
     """
     if min(image.shape) < 16:
         raise InputError("image", image.shape, "at least 16 x 16 pixels")
-    factor = max(1, round(max(image.shape) / LARGEST_PX))
+    factor = max(1, min(round(max(image.shape) / LARGEST_PX), min(image.shape) // 16))
     known = np.ones(image.shape, np.bool_) if used is None else used
     small, seen = binned_mean(np.where(known, image, 0.0), factor), ~binned_any(~known, factor)
     if not seen.any() or np.ptp(small[seen]) <= 0.0:

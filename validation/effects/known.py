@@ -152,7 +152,8 @@ def _drawn(value: Value, off: float) -> Value:
 
 def applied(spec: EffectSpec, values: Mapping[str, Value]) -> AppliedEffect:
     """The effect with these values, as a model has it."""
-    return AppliedEffect(name=spec.name, parameters=dict(values), source_sha256=spec.source_sha256)
+    said = {"name": spec.name, "parameters": dict(values), "source_sha256": spec.source_sha256}
+    return parse(AppliedEffect, said, f"effects.{spec.name}")
 
 
 def with_effect(model: Model, one: AppliedEffect) -> Model:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from luxloop.effect import EffectSpec, Value, check
+from luxloop.effect import EffectSpec, Value, check, did_you_mean
 from luxloop.errors import InputError
 from luxloop.model import Model
 from validation.effects.example_set import CAMERA, MODULE, MODULE_VIEW, PEAK_SHARE, film_curves
@@ -34,6 +34,9 @@ def values_of(spec: EffectSpec, given: list[str]) -> dict[str, Value]:
             raise InputError(
                 "--value", text, "PARAM=VALUE, such as psf_um=12", "luxloop effects show tells the names"
             )
+        if name not in values:
+            known = list(values)
+            raise InputError("--value", name, f"one of {', '.join(known)}", did_you_mean(name, known))
         values[name] = _number(value) if not isinstance(values.get(name), tuple) else (_number(value),) * CHIPS  # type: ignore[assignment]
     check(applied(spec, values), spec)
     return values

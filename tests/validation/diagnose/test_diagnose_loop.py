@@ -155,6 +155,17 @@ def test_a_spoilt_record_of_the_last_diagnosis_is_told(tmp_path: Path, text: str
         rivals_of(str(tmp_path / "model.toml"))
 
 
+def test_a_verdict_that_cannot_be_kept_is_told_all_the_same(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A model in somebody else's folder: `next` will ask for names."""
+    (tmp_path / ".luxloop").write_text("in the way")
+    (tmp_path / "model.toml").write_text("")
+    names = ("verdict", "sentence", "set", "rivals", "model_sha256", "dataset_sha256")
+    keep(SimpleNamespace(file=str(tmp_path / "model.toml")), dict.fromkeys(names, ""))  # type: ignore[arg-type]
+    assert "the verdict is not kept for `luxloop next`" in capsys.readouterr().err
+
+
 def test_what_a_diagnosis_told_apart_is_no_rival(tmp_path: Path) -> None:
     """`next` without names takes what could not be told apart; one effect may have others that explain as much."""
     file = tmp_path / "model.toml"

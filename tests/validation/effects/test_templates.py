@@ -43,7 +43,7 @@ def test_values_are_taken_as_given_and_refused_out_of_range() -> None:
     spec = spec_of(AMPLITUDE)
     assert values_of(spec, []) == {"a": pytest.approx(0.5 / 3.0)}
     assert values_of(spec, ["a=0.25"]) == {"a": 0.25}
-    for wrong in ("a=2", "b=0.1", "a", "a=much"):
+    for wrong in ("a=2", "b=0.1", "a", "a=much", "a=nan", "a=inf", "A=0.2", "a b=0.1", "a=" + 70 * "x"):
         with pytest.raises(InputError):
             values_of(spec, [wrong])
 
