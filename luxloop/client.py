@@ -189,10 +189,9 @@ class Client:
         process = subprocess.Popen(
             [sys.executable, "-m", "luxloop", "serve", "local", "--quiet", "--ray-tracing", str(ray_workers)],
             env=as_environment(settings) | {"LUXLOOP_WITH_PARENT": str(os.getpid())},
-            stdin=subprocess.DEVNULL,
-            stdout=2,  # own effects may print: not beside our answer
+            stdin=subprocess.DEVNULL, stdout=2,  # own effects may print: not beside our answer
             start_new_session=True,  # Ctrl-C is for us: we finish what we hold, then end the set
-        )
+        )  # fmt: skip
         self._stack.callback(_stop, process)
         end_s = time.monotonic() + START_S
         while not listening(settings.router):
