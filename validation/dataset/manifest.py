@@ -104,7 +104,7 @@ class Sample(Strict):
             raise InputError("rows, columns", (self.rows, self.columns), "1, 1 for a single", 'or layout = "array"')
         if self.layout == "array" and self.rows * self.columns == 1:
             raise InputError("rows, columns", (1, 1), "at least two chips for an array", 'or layout = "single"')
-        if reason := self.design.feasibility("chip_top", "gap"):  # by another reading the workers refuse it
+        if reason := self.design.feasibility(spacing_is="gap"):
             raise InputError("distance_um", self.distance_um, "a module that can be built, D >= T + 5", reason)
         return self
 
