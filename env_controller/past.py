@@ -54,7 +54,8 @@ def read_back(folder: Path, begin: Begin) -> Past:
     """
     if not folder.is_dir():
         mend = f"start the set with LUXLOOP_RUNS set to the folder that holds {folder.name}, or name another set"
-        raise _refused(f"this controller keeps its runs in {folder.parent}, where there is no {folder.name}", mend)
+        why = f"this controller keeps its runs in {folder.parent}, where there is no folder of a run {folder.name}"
+        raise _refused(why, mend)
     try:
         journal, ends = RunJournal(folder), end_of(folder)
         _refuse_another(journal, begin)

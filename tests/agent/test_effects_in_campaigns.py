@@ -26,7 +26,7 @@ from luxloop.journal.reader import RunJournal
 from luxloop.model import Model
 from luxloop.model_file import find_model, parse_toml, to_toml
 from luxloop.ray import RayRequest
-from luxloop.settings import Settings, as_environment
+from luxloop.settings import Settings, as_environment, load_settings
 from luxloop.words import canonical
 from tests import forks
 from tests.conftest import free_endpoint, wait_for
@@ -265,7 +265,8 @@ def test_an_effect_without_influence_is_said_before_a_run_begins() -> None:
 def test_an_effect_that_is_lost_on_the_way_stops_the_run() -> None:
     """With how to go on; a lost worker does not, nor what is on record from an earlier start."""
     steps: list[Step] = []
-    door = SimpleNamespace(run="one", designer="d", act=lambda *_: steps[-1])
+    begun = SimpleNamespace(folder=str(load_settings().runs_dir / "one"))
+    door = SimpleNamespace(run="one", designer="d", begun=begun, act=lambda *_: steps[-1])
     kept: Callable[[Any], Step] = EffectsKept(door, [lost_at(4, "unknown_effect")]).act  # type: ignore[arg-type]  # duck
     for step in (lost_at(3, "worker_lost"), lost_at(4, "unknown_effect")):
         steps.append(step)

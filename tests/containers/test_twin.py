@@ -176,19 +176,6 @@ def test_below_an_air_gap_the_substrate_takes_its_share() -> None:
     assert twin[0, 0] == pytest.approx(long[0, 0], rel=1e-2)
 
 
-def test_chips_in_a_row_shade_along_it() -> None:
-    """The middle one of five, black receiver: regression, its light was the mean of along the row and across."""
-    case = replace(scene({"width_um": 100.0, "thickness_um": 50.0, "absorption_per_um": 1e-3}), distance_um=160.0)
-    case, exits = replace(case, receiver=lambertian_receiver(0.0)), make_exits(case, 1, 2 * BLOCK)
-    far, near = np.linspace(-500.0, 500.0, 101), np.zeros(1)
-    for rows, columns in ((1, 5), (5, 1)):
-        power = np.zeros((rows, columns))
-        power[rows // 2, columns // 2] = 1.0
-        twin = ModuleTwin(replace(case, layout=replace(Array.regular(rows, columns, 150.0), power=power)), exits)
-        x, y = (twin.mean(*at).ravel()[np.abs(far) > 150.0].sum() for at in ((far, near), (near, far)))
-        assert (x < y) == (columns > rows)
-
-
 def test_a_dead_chip_takes_its_own_light_away(dim: tuple[Scene, Exits]) -> None:
     """The map is linear in the powers, and follows chips that are displaced together."""
     case, exits = dim

@@ -443,7 +443,7 @@ def test_an_end_whose_side_file_was_not_written_is_told_by_the_journal(
 
 def test_a_run_that_lies_elsewhere_is_told_so(tmp_path: Path) -> None:
     """Not that its journal is damaged: this controller keeps its runs in another folder."""
-    with pytest.raises(RemoteError, match=f"keeps its runs in {tmp_path}, where there is no elsewhere"):
+    with pytest.raises(RemoteError, match=f"its runs in {tmp_path}, where there is no folder of a run elsewhere"):
         past.read_back(tmp_path / "elsewhere", Begin(plan=plan(), designer="d", resume=True))
 
 

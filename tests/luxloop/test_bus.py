@@ -273,7 +273,8 @@ def test_a_worker_that_waits_for_a_router_can_be_ended(settings: Settings, how: 
     """By Ctrl-C, and where who started it has gone: zenoh's own waiting knew of neither."""
     environment = as_environment(settings) | ({"LUXLOOP_WITH_PARENT": "1"} if how == "left behind" else {})
     code = (
-        "from luxloop.bus.zenoh_bus import ZenohBus; from luxloop.settings import load_settings\n"
+        "from luxloop.bus.zenoh_bus import ZenohBus; from luxloop.settings import load_settings; import signal\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # children of a background shell ignore it
         "print('waits', flush=True)\nZenohBus(load_settings(), patient=True)\n"
     )
     argv, null = [sys.executable, "-c", code], subprocess.DEVNULL

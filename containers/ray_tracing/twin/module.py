@@ -241,7 +241,7 @@ def surroundings(scene: Scene, layout: Array) -> tuple[Scene, Box]:
         2 * layout.rows - 1, 2 * layout.columns - 1, layout.spacing_um, reach + 4.0 * scene.distance_um
     )
     bins = min(int(np.ceil(reach * BINS_PER_HEIGHT / scene.height_um)), MOST_BINS)
-    if scene.emission.symmetric and layout.rows == layout.columns:
+    if scene.emission.symmetric:
         box = Box(0.0, 0.0, reach / bins, bins, bins, folded=True, cell=False)
     else:
         box = Box(-reach, -reach, reach / bins, 2 * bins, 2 * bins, folded=False, cell=False)
