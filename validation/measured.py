@@ -195,7 +195,7 @@ class _Correction:
     inverse_mean: Real  # mean over the bin of 1/flat
     inverse_square: Real  # mean over the bin of 1/flat^2
     dark_dn: Real | None  # mean over the bin of dark/flat; none: the black level is subtracted
-    dark: Pixels | None = None  # as in its file
+    dark_in_whole_dn: bool = False  # as its file has it
 
     def binned(self, raw: Pixels, factor: int) -> Real:
         """The mean over bins of raw/flat."""
@@ -215,15 +215,20 @@ def _correction(
     if dark is None:
         return correction
     whole = _finite(read(dark), np.zeros(shape, np.bool_) if ignored is None else ignored, dark)
-    return replace(correction, dark_dn=correction.binned(whole, factor), dark=whole)
+    return replace(correction, dark_dn=correction.binned(whole, factor), dark_in_whole_dn=in_whole_dn(whole))
 
 
-def rounded(values: Pixels, frames: int) -> float:
-    """Variance in DN^2 of the rounding of a mean of frames that was saved as whole numbers; 0 of one with fractions.
+def in_whole_dn(values: Pixels) -> bool:
+    """Whether a file has room for whole numbers only."""
+    return values.dtype.kind in "ui"
+
+
+def rounding_dn2(whole: bool, frames: int) -> float:
+    """Variance of the rounding of a mean of frames that was saved in whole DN; 0 of one with fractions.
 
     That of each frame is in `CameraFacts.dark_variance_dn2`.
     """
-    return 1.0 / 12.0 if values.dtype.kind in "ui" and frames > 1 else 0.0
+    return 1.0 / 12.0 if whole and frames > 1 else 0.0
 
 
 def inverse_flat(flat: Pixels, ignored: NDArray[np.bool_] | None, name: str) -> NDArray[np.float32]:
@@ -262,11 +267,12 @@ def _measured(
         )
     black = camera.black_level_dn * correction.inverse_mean if correction.dark_dn is None else correction.dark_dn
     bin_and_frames = factor**2 * shot.frames_averaged
-    of_image = (camera.dark_variance_dn2 / shot.frames_averaged + rounded(raw, shot.frames_averaged)) / factor**2
+    rounding = rounding_dn2(in_whole_dn(raw), shot.frames_averaged)
+    of_image = (camera.dark_variance_dn2 / shot.frames_averaged + rounding) / factor**2
     of_dark = 0.0
     if shot.dark is not None:
-        again = rounded(correction.dark, shot.dark_frames) if correction.dark is not None else 0.0
-        of_dark = (camera.dark_variance_dn2 / shot.dark_frames + again) / factor**2
+        rounding = rounding_dn2(correction.dark_in_whole_dn, shot.dark_frames)
+        of_dark = (camera.dark_variance_dn2 / shot.dark_frames + rounding) / factor**2
     like = np.ones(signal.shape)
     constant_dn2 = (of_image + of_dark) * correction.inverse_square * like
     signal = signal - black

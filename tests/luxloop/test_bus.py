@@ -8,6 +8,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
@@ -288,6 +289,33 @@ def test_a_worker_that_waits_for_a_router_can_be_ended(settings: Settings, how: 
             assert waits.wait(10.0) != 0
         finally:
             waits.kill()
+
+
+def test_what_zenoh_logs_does_not_stand_in_a_commands_answer(router: object, settings: Settings) -> None:
+    """RUST_LOG is for processes that serve: zenoh writes to stdout, where `--json` has its one object."""
+    code = "from luxloop.bus.zenoh_bus import ZenohBus; from luxloop.settings import load_settings\n"
+    environment = as_environment(settings) | {"RUST_LOG": "debug"}
+    argv = [sys.executable, "-c", code + "with ZenohBus(load_settings()): print('answer')"]
+    assert subprocess.run(argv, env=environment, capture_output=True, check=True).stdout == b"answer\n"
+
+
+def test_what_a_set_of_ones_own_prints_does_not_stand_in_a_commands_answer(
+    settings: Settings, tmp_path: Path
+) -> None:
+    """A user's effect may: its workers write to stderr."""
+    prints = tmp_path / "prints"
+    prints.write_text("#!/bin/sh\necho noise\n")
+    prints.chmod(0o700)
+    code = (
+        "import luxloop.client as client; from luxloop.errors import RemoteError; import sys\n"
+        "from luxloop.settings import load_settings\n"
+        "sys.executable = sys.argv[1]\n"
+        "try: client.Client(load_settings())\n"
+        "except RemoteError: print('answer')\n"
+    )
+    argv = [sys.executable, "-c", code, str(prints)]
+    done = subprocess.run(argv, env=as_environment(settings), capture_output=True, check=True)
+    assert (done.stdout, done.stderr) == (b"answer\n", b"noise\n")
 
 
 def test_a_process_with_an_open_session_ends_when_it_raises(router: object, settings: Settings) -> None:

@@ -335,6 +335,15 @@ def test_a_fixed_pattern_that_dark_and_flat_know_is_no_noise(folder: Path) -> No
     assert not found(folder)
 
 
+def test_a_mean_of_many_frames_in_whole_numbers_is_a_warning(folder: Path) -> None:
+    """Where averaging left less noise than rounding hides; saved with fractions nothing is told."""
+    edit(folder, "exposure_ms = 4.0", "exposure_ms = 4.0\nframes_averaged = 64")
+    put(folder, ARRAY, photographed(PEAK_DN * light(3, 5), 2, frames=64))
+    told = only(folder, "warning")
+    assert "a mean of 64 frames in whole DN" in told.value
+    assert "float32" in told.mend
+
+
 def test_camera_numbers_that_contradict_the_noise_are_a_warning(folder: Path) -> None:
     """A gain ten times too large shows in the image itself."""
     edit(folder, "gain_dn_per_e = 0.05", "gain_dn_per_e = 0.5")

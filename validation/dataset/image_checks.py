@@ -14,7 +14,7 @@ from luxloop.errors import InputError
 from validation.dataset.images import MASK_TYPES, Pixels, Real, TiffImage, binned_mean
 from validation.dataset.lattice import Lattice, find_lattice
 from validation.dataset.manifest import CameraFacts, ImageShot, Manifest, Sample
-from validation.measured import PIXELS_PER_PITCH, rounded
+from validation.measured import PIXELS_PER_PITCH, in_whole_dn, rounding_dn2
 
 PITCH_TOLERANCE, PITCH_TOLERANCE_OF_FEW = 0.12, 0.15
 """How far a pitch in the image may be from the manifest's; outer chips of a small array look nearer than they are."""
@@ -75,7 +75,10 @@ def image_faults(manifest: Manifest, shot: ImageShot, load: Load) -> Iterator[To
     usable = seen & np.isfinite(raw) & (raw < camera.saturation_dn)
     if usable.any() and np.ptp(raw[usable]) > 0:
         plain = _without_patterns(raw, dark, flat, camera.black_level_dn)
-        yield from _of_noise(plain, usable, camera, shot, rounded(raw, shot.frames_averaged))
+        rounding = rounding_dn2(in_whole_dn(raw), shot.frames_averaged)
+        if dark is not None:
+            rounding += rounding_dn2(in_whole_dn(dark.values), shot.dark_frames)
+        yield from _of_noise(plain, usable, camera, shot, rounding)
         yield from _of_lattice(raw, usable, camera, manifest.sample(shot.sample), shot)
 
 
@@ -139,7 +142,7 @@ def _of_pixels(image: TiffImage, seen: NDArray[np.bool_], camera: CameraFacts, s
         yield Told(InputError(f"{shot.file}: profile", "a colour profile or transfer curve", "none", mend), "warning")
     yield from _of_steps(values, where)
     sigma_dn = np.sqrt(camera.dark_variance_dn2 / shot.frames_averaged)
-    if rounded(raw, shot.frames_averaged) and sigma_dn < LEAST_SIGMA_DN:
+    if rounding_dn2(in_whole_dn(raw), shot.frames_averaged) and sigma_dn < LEAST_SIGMA_DN:
         value = f"a mean of {shot.frames_averaged} frames in whole DN, its noise {sigma_dn:.2g} DN"
         mend = "rounding hides what averaging brought, and is no noise: save means as float32"
         yield Told(InputError(where, value, "a mean with fractions", mend), "warning")
@@ -185,14 +188,14 @@ def _without_patterns(raw: Pixels, dark: TiffImage | None, flat: TiffImage | Non
 
 
 def _of_noise(
-    raw: Pixels, usable: NDArray[np.bool_], camera: CameraFacts, shot: ImageShot, rounding_dn2: float
+    raw: Pixels, usable: NDArray[np.bool_], camera: CameraFacts, shot: ImageShot, rounding: float
 ) -> Iterator[Told]:
     """Noise that grows with the signal in another way than the camera's numbers say; gamma shows so."""
     law = _noise_law(raw, usable, camera)
     if law is None:
         return
     signal, found, weight = law
-    expected = (camera.gain_dn_per_e * signal + camera.dark_variance_dn2) / shot.frames_averaged + rounding_dn2
+    expected = (camera.gain_dn_per_e * signal + camera.dark_variance_dn2) / shot.frames_averaged + rounding
     if shot.dark is not None:
         expected += camera.dark_variance_dn2 / shot.dark_frames
     expected += (camera.prnu_percent / 100.0 * signal) ** 2

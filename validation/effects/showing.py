@@ -35,8 +35,7 @@ def values_of(spec: EffectSpec, given: list[str]) -> dict[str, Value]:
                 "--value", text, "PARAM=VALUE, such as psf_um=12", "luxloop effects show tells the names"
             )
         if name not in values:
-            known = list(values)
-            raise InputError("--value", name, f"one of {', '.join(known)}", did_you_mean(name, known))
+            raise InputError("--value", name, f"one of {', '.join(values)}", did_you_mean(name, values))
         values[name] = _number(value) if not isinstance(values.get(name), tuple) else (_number(value),) * CHIPS  # type: ignore[assignment]
     check(applied(spec, values), spec)
     return values

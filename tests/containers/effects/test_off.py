@@ -150,7 +150,7 @@ def test_nothing_applied_is_nothing(ask: Ask) -> None:
 
 
 def test_effects_are_asked_one_after_the_other_whether_they_change_anything() -> None:
-    """A layer's thickness needs its place, which the effect before it gives; a walls' off changes nothing."""
+    """A layer's thickness needs its place, which the effect before it gives; walls at off change nothing."""
     applied = [
         AppliedEffect(name="active_layer_depth", parameters={"depth": 0.9}),
         AppliedEffect(name="active_layer_thickness", parameters={"reach": 0.3}),
@@ -165,7 +165,7 @@ def test_effects_are_asked_one_after_the_other_whether_they_change_anything() ->
 
 
 class Darkens(SceneEffect):
-    """A user's effect that makes every other top face black."""
+    """A user's effect that makes the top face black, seen from inside."""
 
     name, stage, twin = "darkens", "surface", True
 

@@ -162,7 +162,7 @@ def test_a_verdict_that_cannot_be_kept_is_told_all_the_same(
     (tmp_path / ".luxloop").write_text("in the way")
     (tmp_path / "model.toml").write_text("")
     names = ("verdict", "sentence", "set", "rivals", "model_sha256", "dataset_sha256")
-    keep(SimpleNamespace(file=str(tmp_path / "model.toml")), dict.fromkeys(names, ""))  # type: ignore[arg-type]
+    keep(SimpleNamespace(file=str(tmp_path / "model.toml")), dict.fromkeys(names, ""))  # type: ignore[arg-type]  # duck: its file
     assert "the verdict is not kept for `luxloop next`" in capsys.readouterr().err
 
 
