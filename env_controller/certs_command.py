@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from contextlib import suppress
 from ipaddress import ip_address
 from pathlib import Path
@@ -34,7 +35,7 @@ def certs(
     from env_controller.certs import make
 
     hosts = tuple(map(_checked_host, host or []))
-    made = make(out.expanduser(), days=days, hosts=hosts, renew=renew, if_needed=if_needed)
+    made = make(Path(os.path.expanduser(out)), days=days, hosts=hosts, renew=renew, if_needed=if_needed)
     if as_json:
         facts = {"folder": str(made.folder), "what": made.what, "roles": made.roles, "hosts": made.hosts}
         until = {"valid_until": made.valid_until.isoformat(), "ca_valid_until": made.ca_valid_until.isoformat()}

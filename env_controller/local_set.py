@@ -16,7 +16,7 @@ from contextlib import suppress
 
 from env_controller.taken import refuse_taken
 from env_controller.watch import Server, Watch
-from luxloop.errors import LuxloopError
+from luxloop.errors import InputError, LuxloopError
 from luxloop.process import orphaned, usable_cores
 from luxloop.settings import Settings, as_environment, usable_cache
 
@@ -24,6 +24,7 @@ RESTART_S = 0.5  # a process that ended is started again after this, doubled eac
 RESTART_MOST_S = 10.0
 STOP_S = 6.0  # a worker leaves within 5 s
 AT_ONCE_S = 2.0  # what fails so soon after its first start would fail again
+BAD_INPUT = InputError.exit_code  # and what was told something wrong, however long a busy machine took to find out
 
 
 class MemberError(LuxloopError):
@@ -52,12 +53,12 @@ class Member:
     def look_after(self, tell: Callable[[str], None]) -> None:
         """Start the process again where it has ended, not faster than doubling pauses allow.
 
-        Raises MemberError where it failed by itself right after its first start: it lacks something.
+        Raises MemberError where its first start ended by itself, at once or for bad input: it lacks something.
         """
         code, now = self.process.poll(), time.monotonic()
         if code is None:
             return
-        if self._first and code > 0 and now - self._began_s < AT_ONCE_S:
+        if self._first and (code == BAD_INPUT or (code > 0 and now - self._began_s < AT_ONCE_S)):
             raise MemberError(self.role, code)
         self._first = False
         if not self._again_s:

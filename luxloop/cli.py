@@ -70,7 +70,8 @@ def main() -> None:
     # while modules are imported nothing is held that must be let go, and a traceback would help nobody
     signal.signal(signal.SIGINT, lambda *_: os._exit(INTERRUPTED))
     if isinstance(sys.stdout, io.TextIOWrapper):
-        sys.stdout.reconfigure(errors="backslashreplace")  # a terminal that has no letter for what is printed
+        encoding = "utf-8" if "--json" in sys.argv else None  # JSON is UTF-8 wherever it is written
+        sys.stdout.reconfigure(encoding=encoding, errors="backslashreplace")  # a terminal may lack a letter
     code = _run("--json" in sys.argv)
     _let_go_of_output()
     sys.exit(code)

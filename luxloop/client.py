@@ -38,6 +38,7 @@ from luxloop.words import Words
 START_S = 60.0  # for router and controller to answer, on a machine that has much else to do; a second or two else
 STOP_S = 8.0
 AGAIN = ("no_router", "no_controller", "busy", "timed_out", "refused")  # asking again may help
+LOOK = "run `luxloop serve local` by hand to see why"
 
 
 @dataclass(frozen=True)
@@ -54,6 +55,8 @@ class Answer:
 class Client:
     """A session with the controller. Thread-safe; leave it by `with` so that what it started is stopped."""
 
+    _local: subprocess.Popen[bytes] | None = None  # the set that was started here
+
     def __init__(
         self, settings: Settings, *, local: bool = True, patience_s: float = 30.0, ray_workers: int = 1
     ) -> None:
@@ -62,16 +65,15 @@ class Client:
         self._asker = f"{os.getpid()}-{uuid4().hex[:8]}"
         self._closing = Interrupt()
         self._stack = ExitStack()
-        started = False
         try:
             if not answering(settings, Identity.of(settings, "client")):
                 if not (local and is_loopback(settings.router)):
-                    raise RemoteError(_nobody(settings))
-                settings, started = self._start_local(settings, ray_workers), True
+                    raise _no_router(f"no router at {settings.router}")
+                settings = self._start_local(settings, ray_workers)
             self.settings = settings
             self._bus = self._stack.enter_context(ZenohBus(settings))
             self._fetch = fetcher(self._bus, settings.realm, BlobStore(settings.cache_dir / "blobs"))
-            self.status(START_S if started else KEYS["status"].time_limit_s)
+            self.status(START_S if self._local else KEYS["status"].time_limit_s)
         except BaseException:
             self.close()
             raise
@@ -101,12 +103,10 @@ class Client:
                 if error.failure.code == "not_found" and not fresh:  # large arrays have gone with their holder
                     fresh, submit = True, submit.model_copy(update={"fresh": True})
                     continue
-                if error.failure.code not in AGAIN or until.is_set():
+                if until.is_set():
                     raise
                 lost_since_s = lost_since_s or time.monotonic()
-                if time.monotonic() - lost_since_s > self._patience_s:
-                    raise
-                time.sleep(0.2)
+                self._wait_a_little(error, lost_since_s + self._patience_s, 0.2)
                 continue
             if not isinstance(parcel.message, Pending):
                 return _answer(parcel)
@@ -174,9 +174,15 @@ class Client:
             try:
                 return ask_for(self._bus, key, StatusAsked(), row.time_limit_s).expect(Status)
             except RemoteError as error:
-                if error.failure.code not in AGAIN or time.monotonic() > end_s:
-                    raise
-                time.sleep(0.05)
+                self._wait_a_little(error, end_s, 0.05)
+
+    def _wait_a_little(self, error: RemoteError, end_s: float, pause_s: float) -> None:
+        """Before the same is tried again. Raises `error` where that cannot help, or that the set begun here ended."""
+        if error.failure.code not in AGAIN or time.monotonic() > end_s:
+            raise error
+        if self._local is not None and self._local.poll() is not None:
+            raise _no_router("the local set of processes has ended", LOOK) from error
+        time.sleep(pause_s)
 
     def close(self) -> None:
         """Let go of everything held, and stop what was started."""
@@ -186,22 +192,17 @@ class Client:
     def _start_local(self, settings: Settings, ray_workers: int) -> Settings:
         """Start a private set on a free port; it ends with this process even if this is killed."""
         settings = settings.model_copy(update={"router": free_loopback(settings.router)})
-        process = subprocess.Popen(
+        self._local = subprocess.Popen(
             [sys.executable, "-m", "luxloop", "serve", "local", "--quiet", "--ray-tracing", str(ray_workers)],
             env=as_environment(settings) | {"LUXLOOP_WITH_PARENT": str(os.getpid())},
             stdin=subprocess.DEVNULL, stdout=2,  # own effects may print: not beside our answer
             start_new_session=True,  # Ctrl-C is for us: we finish what we hold, then end the set
         )  # fmt: skip
-        self._stack.callback(_stop, process)
+        self._stack.callback(_stop, self._local)
         end_s = time.monotonic() + START_S
+        late = _no_router(f"the local set of processes did not start within {START_S:g} s", LOOK)
         while not listening(settings.router):
-            ended = process.poll() is not None
-            if ended or time.monotonic() > end_s:
-                how = "ended at once" if ended else f"did not start within {START_S:g} s"
-                mend = "run `luxloop serve local` by hand to see why"
-                message = f"the local set of processes {how}"
-                raise RemoteError(Failure(code="no_router", message=message, mend=mend))
-            time.sleep(0.01)
+            self._wait_a_little(late, end_s, 0.01)
         return settings
 
     def __enter__(self) -> Client:
@@ -244,6 +245,5 @@ def _answer_or_failure(future: Future[Answer]) -> Answer | RemoteError:
         return RemoteError(Failure.of(error))
 
 
-def _nobody(settings: Settings) -> Failure:
-    message, mend = f"no router at {settings.router}", "start one there, or set LUXLOOP_ROUTER to where it is"
-    return Failure(code="no_router", message=message, mend=mend, where=f"pid {os.getpid()}")
+def _no_router(message: str, mend: str = "start one there, or set LUXLOOP_ROUTER to where it is") -> RemoteError:
+    return RemoteError(Failure(code="no_router", message=message, mend=mend, where=f"pid {os.getpid()}"))

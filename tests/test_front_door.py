@@ -18,6 +18,7 @@ import pytest
 
 from luxloop import __version__
 from luxloop.cli import main
+from luxloop.model_file import find_model, to_toml
 from luxloop.settings import Settings, as_environment
 from tests import forks
 from tests.conftest import free_endpoint, processes_at, processes_with, start, wait_for
@@ -360,3 +361,23 @@ def test_a_terminal_is_told_what_is_waited_for(warm: Settings, option: list[str]
     assert ("finding the workers" in said and "films" in said) == talks
     assert (said == "end") == (not talks)
     assert b"\x1b" not in done.stdout
+
+
+def test_json_is_utf8_wherever_it_is_written(tmp_path: Path) -> None:
+    """In a Latin-1 locale, too, where a letter that it lacks would become an escape that JSON does not know."""
+    file = tmp_path / "m.toml"
+    file.write_text(
+        to_toml(find_model("paper").model_copy(update={"notes": "\U0001f4a1 and \xb5"})), encoding="utf-8"
+    )
+    argv = [sys.executable, "-m", "luxloop", "model", "show", str(file), "--json"]
+    done = subprocess.run(argv, env=os.environ | {"PYTHONIOENCODING": "latin-1"}, capture_output=True, check=True)
+    assert json.loads(done.stdout.decode("utf-8"))["notes"] == "\U0001f4a1 and \xb5"
+
+
+def test_a_home_of_nobody_is_a_folder_like_any_other(settings: Settings, tmp_path: Path) -> None:
+    """As a shell takes it: `~nosuch/x` is what it says where there is no such user."""
+    for argv, made in ((("certs", "--out"), "ca.pem"), (("effects", "list", "--effects"), None)):
+        done = forks.luxloop(*argv, "~nosuch/x", env=as_environment(settings), cwd=tmp_path)
+        assert "Traceback" not in done.stderr
+        assert done.returncode == 0, done.stderr
+        assert made is None or (tmp_path / "~nosuch" / "x" / made).exists()

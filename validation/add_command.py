@@ -56,7 +56,7 @@ def add(
     with diagnosing(
         "add", model, free=free, histories=histories_traced(twin, histories, most_histories), seed=seed,
         pixel_um=pixel_um, film=film, runs=runs, router=router, no_local=no_local, say=not (as_json or quiet),
-        most_histories=most_histories,
+        most_histories=most_histories, writes=not dry_run,
     ) as (engine, subject, at):  # fmt: skip
         if effect in [one.name for one in engine.model.effects]:
             raise InputError(
@@ -92,7 +92,7 @@ def remove(
     with diagnosing(
         "remove", model, free=free, histories=histories_traced(twin, histories, most_histories), seed=seed,
         pixel_um=pixel_um, film=film, runs=runs, router=router, no_local=no_local, say=not (as_json or quiet),
-        most_histories=most_histories,
+        most_histories=most_histories, writes=not dry_run,
     ) as (engine, subject, at):  # fmt: skip
         _done(engine, subject, at, "remove", effect, (pixel_um, film), dry_run, force, as_json)
 
@@ -143,8 +143,9 @@ def _done(
     document |= told_of(subject.model, before, after)
     document["warnings"] += overstated_of(after.fit, document["shots"])
     at.record(document, maps_of(after.fit))
-    if not dry_run and (after.fit.trusted or force):
-        kept = after.fit.model.model_copy(update={"data": subject.with_data.data})
-        version = subject.saved(kept, f"{command} {effect}", document["errors"])
-        document["version"] = version.number if version else None
-    typer.echo(json.dumps(document, ensure_ascii=False) if as_json else "\n".join(told.added(document)))
+    try:
+        if not dry_run and (after.fit.trusted or force):
+            kept = after.fit.model.model_copy(update={"data": subject.with_data.data})
+            document["version"] = subject.saved(kept, f"{command} {effect}", document["errors"])
+    finally:  # what was found is told all the same
+        typer.echo(json.dumps(document, ensure_ascii=False) if as_json else "\n".join(told.added(document)))

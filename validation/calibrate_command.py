@@ -85,7 +85,7 @@ def calibrate(
     from validation.cautions import overstated_of
     from validation.comparing import NULLS, Solver
     from validation.observed import Observed
-    from validation.session import session, subject_of
+    from validation.session import refuse_unwritable, session, subject_of
 
     draw = view_of("calibration", page) if page is not None else None
     first = histories_traced(twin, histories, most_histories)
@@ -93,6 +93,8 @@ def calibrate(
     refuse_fewer(first, most)
     settings = load_settings(runs=runs, router=router)
     subject = subject_of(model, None)
+    if not dry_run:
+        refuse_unwritable(model)
     if joint and fit_only:
         raise InputError("--joint", True, "not beside --fit-only", "leave one of the two out")
     observed = Observed.of(subject.dataset, pixel_um, film)
@@ -120,14 +122,14 @@ def calibrate(
         }  # fmt: skip
         document["warnings"] = [*at.faults, *overstated_of(found.after.fit, document["shots"])]
         at.record(document, found.after.residual_maps())
-    if dry_run or not (found.after.fit.trusted or force):
-        document["version"] = None
-    else:
-        kept = found.after.fit.model.model_copy(update={"data": subject.with_data.data})
-        version = subject.saved(kept, "calibrate", errors_of(found.after))
-        document["version"] = version.number if version else None
-    typer.echo(json.dumps(document, ensure_ascii=False) if as_json else "\n".join(told.calibration(document)))
-    drawn(draw, document, dict, page)
+    document["version"] = None
+    try:
+        if not dry_run and (found.after.fit.trusted or force):
+            kept = found.after.fit.model.model_copy(update={"data": subject.with_data.data})
+            document["version"] = subject.saved(kept, "calibrate", errors_of(found.after))
+    finally:  # what was found is told all the same
+        typer.echo(json.dumps(document, ensure_ascii=False) if as_json else "\n".join(told.calibration(document)))
+        drawn(draw, document, dict, page)
 
 
 def refuse_fewer(histories: int | None, most_histories: int | None) -> None:

@@ -98,11 +98,14 @@ class Asked:
         """Compare, put it on record, tell it, write the page."""
         from validation.comparing import NULLS, Solver, compared
         from validation.observed import Observed
-        from validation.session import session, subject_of
+        from validation.session import refuse_unwritable, session, subject_of
 
         draw = view_of("comparison", self.page) if self.page is not None else None
         settings = load_settings(runs=runs, router=router)
         subject = subject_of(self.model, self.dataset)
+        keeps = self.command == "compare" and subject.model.data != subject.with_data.data
+        if keeps:
+            refuse_unwritable(self.model)
         observed = Observed.of(subject.dataset, self.pixel_um, self.film)
         solver = Solver(self.histories, self.seed)
         with (
@@ -112,10 +115,12 @@ class Asked:
             found = compared(subject.model, observed, at.predictor, solver, cache=settings.cache_dir / NULLS)
             document = self.document(subject, found, at.faults) | {"run": at.door.run, "folder": at.door.begun.folder}
             at.record(document, found.residual_maps())
-        if self.command == "compare":
-            self.keep(subject, found)
-        _tell(document, as_json, where=self.command == "where")
-        drawn(draw, document, found.arrays, self.page)
+        try:
+            if keeps:  # the model file gets the data's path and hash
+                subject.saved(subject.with_data, f"compare {subject.dataset.folder.name}", errors_of(found))
+        finally:  # what was found is told all the same
+            _tell(document, as_json, where=self.command == "where")
+            drawn(draw, document, found.arrays, self.page)
 
     def document(self, subject: Subject, found: Comparison, faults: Sequence[str]) -> dict[str, Any]:
         """Of the comparison, with what was compared, and `faults` of the data; `where` adds the profiles."""
@@ -133,11 +138,6 @@ class Asked:
             **told, "warnings": [*faults, *overstated_of(found.fit, told["shots"])],
             "profiles": profiles(found.fit) if self.command == "where" or self.page is not None else [],
         }  # fmt: skip
-
-    def keep(self, subject: Subject, found: Comparison) -> None:
-        """The model file gets the data's path and hash, as a version with the errors that were found."""
-        if subject.model.data != subject.with_data.data:
-            subject.saved(subject.with_data, f"compare {subject.dataset.folder.name}", errors_of(found))
 
 
 def histories_traced(twin: bool, histories: int | None, most_histories: int | None = None) -> int | None:

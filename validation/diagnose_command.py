@@ -60,17 +60,23 @@ def diagnosing(
     say: bool,
     among: Sequence[str] = (),
     most_histories: int | None = None,
+    writes: bool = False,
 ) -> Iterator[tuple[Diagnosing, Subject, Session]]:
-    """The model on its data, with workers, on record as a run. Raises InputError for a model without data."""
+    """The model on its data, with workers, on record as a run; `writes` where its file shall be written.
+
+    Raises InputError for a model without data, and for one whose file cannot be written.
+    """
     from validation.comparing import NULLS, Solver
     from validation.diagnosing import Diagnosing
     from validation.effects.known import Known
     from validation.observed import Observed
-    from validation.session import session, subject_of
+    from validation.session import refuse_unwritable, session, subject_of
 
     refuse_fewer(histories, most_histories)
     settings = load_settings(runs=runs, router=router)
     subject = subject_of(model, None)
+    if writes:
+        refuse_unwritable(model)
     observed = Observed.of(subject.dataset, pixel_um, film)
     paths = tuple(path for path in paths_of(subject.model, free) if not path.startswith("effects."))
     if free is None and not observed.of_modules:  # films alone know nothing of the module's parameters

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
@@ -210,7 +211,7 @@ def _asked(folder: Path | None, router: str | None, no_local: bool, say: bool, w
 
 
 def _folder(given: Path | None) -> Path:
-    return (given.expanduser() if given else load_settings().effects_dir).absolute()
+    return Path(os.path.expanduser(given or load_settings().effects_dir)).absolute()
 
 
 def _file_of(text: str, folder: Path) -> tuple[str, bytes | None]:

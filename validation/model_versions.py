@@ -22,6 +22,7 @@ from pydantic import Field, ValidationError
 
 from luxloop.errors import InputError
 from luxloop.files import read_text as read_file
+from luxloop.files import try_to_write
 from luxloop.model import Model
 from luxloop.model_file import parse_toml, read_text, to_toml
 from luxloop.words import Words
@@ -46,6 +47,13 @@ def save(path: Path, model: Model, command: str, errors: dict[str, float] | None
     """Writes a model file and keeps it as a version, which is returned; `command` is what made it."""
     with _locked(path):
         return _replace(path, to_toml(model), command, errors or {})
+
+
+def try_to_save(path: Path) -> None:
+    """Raises InputError where a model file could not be saved, before anything is computed for it."""
+    with _locked(path):
+        for file in (path, _log(path)):
+            try_to_write(file)
 
 
 def versions(path: Path) -> list[Version]:

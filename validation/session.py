@@ -34,7 +34,7 @@ from validation.cautions import faults_of
 from validation.dataset.folder import Dataset, read_dataset
 from validation.dataset.manifest_file import MANIFEST
 from validation.effects.known import Known
-from validation.model_versions import Version, save
+from validation.model_versions import save, try_to_save
 from validation.prediction import Predictor
 from validation.sample_values import is_by_sample, refuse_strangers
 
@@ -60,8 +60,8 @@ class Subject:
     text: str = ""
     """Of the file, as it was read; "": a shipped model."""
 
-    def saved(self, model: Model, command: str, errors: Mapping[str, float]) -> Version | None:
-        """The model written to its file as a new version; None for a shipped one, which never changes.
+    def saved(self, model: Model, command: str, errors: Mapping[str, float]) -> int | None:
+        """The model written to its file: the number of the version; None for a shipped one, which never changes.
 
         Raises InputError where somebody has edited the file since it was read.
         """
@@ -71,7 +71,7 @@ class Subject:
         if not path.exists() or read_text(path) != self.text:
             mend = "it is as it was edited; look at it (luxloop model diff) and run this again"
             raise InputError("--model", self.file, "a file that nobody edits while a command runs on it", mend)
-        return save(path, model, command, dict(errors))
+        return save(path, model, command, dict(errors)).number
 
     @property
     def with_data(self) -> Model:
@@ -80,6 +80,12 @@ class Subject:
         return self.model.model_copy(
             update={"data": Data(path=_near(self.dataset.folder, here), sha256=self.dataset.sha256)}
         )
+
+
+def refuse_unwritable(file: str) -> None:
+    """Raises InputError where a model file could not be saved, before anything is computed; a shipped one is none."""
+    if file not in SHIPPED:
+        try_to_save(Path(file))
 
 
 def subject_of(file: str, dataset: Path | None) -> Subject:

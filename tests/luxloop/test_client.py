@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import time
 from typing import Any
 
 import pytest
 
+from luxloop import __version__
 from luxloop import client as clients
 from luxloop.bus.frame import Parcel
 from luxloop.client import Client
@@ -16,6 +18,7 @@ from luxloop.failure import Failure
 from luxloop.messages import Outcome, Pending, Submit, Task
 from luxloop.settings import Settings
 from luxloop.words import Words
+from tests.conftest import wait_for
 from tests.local_bus import LocalBus, LocalRouter
 
 TASK = Task(kind="film", inputs={}, version="v")
@@ -30,10 +33,45 @@ def test_a_set_that_ends_at_once_is_told_from_one_that_is_slow(
 ) -> None:
     """Nobody waits a minute for processes that are gone, and what to do is said."""
     monkeypatch.setattr(sys, "executable", "/bin/false")
-    with pytest.raises(RemoteError, match="ended at once") as caught:
+    with pytest.raises(RemoteError, match="has ended") as caught:
         Client(settings)
     assert caught.value.failure.code == "no_router"
     assert "luxloop serve local" in caught.value.failure.mend
+
+
+def test_a_set_whose_worker_cannot_start_is_not_waited_for(
+    settings: Settings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It ends as soon as router and controller answer."""
+    monkeypatch.setenv("LUXLOOP_THREADS", "abc")
+    monkeypatch.setattr(clients, "START_S", 600.0)
+    begun_s = time.monotonic()
+    gone = pytest.raises(RemoteError, match="the local set of processes has ended")
+    with gone, Client(settings, patience_s=600.0) as client:  # the controller may answer before the worker has ended
+        client.run(Task(kind="ray", inputs={}, version=__version__))
+    assert time.monotonic() - begun_s < 60
+
+
+def test_a_set_that_is_killed_ends_the_wait_for_its_answers(
+    settings: Settings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whoever is patient with a controller that is away is told at once where none will come."""
+    started: list[subprocess.Popen[bytes]] = []
+    popen = subprocess.Popen
+
+    def start(*arguments: Any, **options: Any) -> subprocess.Popen[bytes]:
+        started.append(popen(*arguments, **options))
+        return started[-1]
+
+    monkeypatch.setattr(clients.subprocess, "Popen", start)
+    with Client(settings, patience_s=600.0) as client:
+        started[0].kill()
+        wait_for(lambda: not clients.listening(client.settings.router), "the router's end")
+        begun_s = time.monotonic()
+        for ask in (lambda: client.run(TASK), lambda: client.status(600.0)):
+            with pytest.raises(RemoteError, match="the local set of processes has ended"):
+                ask()
+        assert time.monotonic() - begun_s < 60
 
 
 def test_ctrl_c_while_a_set_starts_ends_it(settings: Settings, monkeypatch: pytest.MonkeyPatch) -> None:

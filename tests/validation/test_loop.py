@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 from pathlib import Path
 from typing import Any
 
 import pytest
+import typer
+from typer.testing import CliRunner
 
+from luxloop.errors import InputError
 from luxloop.journal.reader import RunJournal
 from luxloop.model_file import read_model
 from luxloop.settings import Settings, as_environment
 from tests import forks
 from tests.running_set import local_set
+from validation.calibrate_command import calibrate
+from validation.compare_command import compare
+from validation.session import Session, subject_of
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "paper-like"
 
@@ -51,6 +58,52 @@ def test_compare_then_where_over_real_processes(settings: Settings, tmp_path: Pa
         replayed = luxloop(settings, tmp_path, "audit", "replay", document["folder"], "--level", level)
         assert replayed.returncode == 0, replayed.stdout
         assert verdict in replayed.stdout.split("verdict")[-1]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("argv", [("compare", str(EXAMPLE)), ("calibrate", "--fit-only")])
+def test_a_model_file_edited_meanwhile_costs_nobody_what_was_found(
+    settings: Settings, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, argv: tuple[str, ...]
+) -> None:
+    """It stays as it was edited, and the result is printed all the same; then the command says why it failed."""
+    file = tmp_path / "model.toml"
+    if argv[0] == "calibrate":
+        subject = subject_of(str(file), EXAMPLE)
+        subject.saved(subject.with_data, "compare", {})
+
+    def edit(*_: Any) -> None:
+        file.write_text(file.read_text() + "# mine\n")
+
+    for name, value in as_environment(settings).items():
+        monkeypatch.setenv(name, value)
+    monkeypatch.setattr(Session, "record", edit)
+    app = typer.Typer()
+    app.command()(compare if argv[0] == "compare" else calibrate)
+    with local_set(settings):
+        done = CliRunner().invoke(app, [*argv[1:], "--model", str(file), "--twin"])
+    assert isinstance(done.exception, InputError)
+    assert "nobody edits while a command runs" in str(done.exception)
+    assert "single-5.5" in done.stdout
+    assert file.read_text().endswith("# mine\n")
+
+
+def test_a_model_file_that_cannot_be_written_is_told_before_anything_is_computed(
+    settings: Settings, tmp_path: Path
+) -> None:
+    """Commands that would write it end with 2 and name it; with --dry-run they go on to a router that is gone."""
+    subject = subject_of(str(tmp_path / "model.toml"), EXAMPLE)
+    subject.saved(subject.with_data, "compare", {})
+    shutil.copytree(EXAMPLE, tmp_path / "other")
+    shutil.rmtree(tmp_path / ".luxloop")
+    (tmp_path / ".luxloop").touch()  # where its versions would lie; rights alone do not stop root
+    for argv in (("compare", "other"), ("calibrate",), ("add", "stray_daylight")):
+        done = luxloop(settings, tmp_path, *argv, "--no-local")
+        assert done.returncode == 2, done.stderr
+        assert "a place that can be written" in done.stderr
+        if argv[0] != "compare":
+            done = luxloop(settings, tmp_path, *argv, "--no-local", "--dry-run")
+            assert done.returncode == 1, done.stderr
+            assert "no router" in done.stderr
 
 
 def test_where_needs_data_and_compare_a_data_set(settings: Settings, tmp_path: Path) -> None:
