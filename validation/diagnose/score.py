@@ -295,11 +295,14 @@ LEAST_ABOVE = 10
 
 
 def _p(drawn: Real, drop: float, shapes: int) -> float:
-    """Counted where draws reach, else by the chi2 of one degree of freedom for each shape."""
+    """Counted where draws reach, else by the chi2 of one degree of freedom a shape, at most what is counted last.
+
+    Else a larger drop would be the likelier one where few draws happen to lie just below the change.
+    """
     above = int(np.sum(drawn >= drop))
     if above >= LEAST_ABOVE or drop == 0.0:
         return (1 + above) / (1 + len(drawn))
-    return float(_reckoned(np.array(drop), shapes))
+    return min(float(_reckoned(np.array(drop), shapes)), (1 + LEAST_ABOVE) / (1 + len(drawn)))
 
 
 def _reckoned(drops: Real, shapes: int) -> Real:
@@ -312,4 +315,5 @@ def _own_ps(values: Real, shapes: int) -> Real:
     order = np.sort(values)
     above = len(values) - np.searchsorted(order, values, side="left") - 1
     counted = (1.0 + above) / len(values)
-    return np.asarray(np.where((above >= LEAST_ABOVE) | (values == 0.0), counted, _reckoned(values, shapes)))
+    reckoned = np.minimum(_reckoned(values, shapes), (1 + LEAST_ABOVE) / len(values))
+    return np.asarray(np.where((above >= LEAST_ABOVE) | (values == 0.0), counted, reckoned))

