@@ -306,14 +306,12 @@ def test_a_larger_score_is_never_the_likelier_one() -> None:
     z = np.arange(3.0, 4.4, 0.05)
     alone = 2.0 * norm.sf(z)
     right = 1.0 - (1.0 - alone) ** 35
-    for seed in (
-        1,
-        2,
-        3,
-    ):  # axes of columns so even are rounding's, so a seed's draws are others on another processor
+    off = []
+    for seed in (1, 2, 3, 4):  # of one the chances stand on counts from 11 up, other ones on another processor
         p = np.array([scores(projected, one * along, seed=seed).p for one in z])
         assert np.all(np.diff(p) <= 0.0)
-        assert np.all(np.abs(np.log(p / right))[z < 4.0] < np.log(3.0))  # counts from 11 up; at most 2.3 of 25 seeds
+        off.append(np.log(p / right))
+    assert np.all(np.abs(np.mean(off, axis=0))[z < 4.0] < 0.35)
 
 
 def test_what_would_have_been_seen_pays_for_its_shapes() -> None:
