@@ -24,7 +24,7 @@ from validation.compare_command import (
     histories_traced,
 )
 from validation.diagnose_command import Free, diagnosing, facts_of
-from validation.writing import drawn, view_of
+from validation.writing import drawn, told_whatever_happens, view_of
 
 if TYPE_CHECKING:
     from validation.diagnosing import Diagnosing
@@ -143,9 +143,11 @@ def _done(
     document |= told_of(subject.model, before, after)
     document["warnings"] += overstated_of(after.fit, document["shots"])
     at.record(document, maps_of(after.fit))
-    try:
+
+    def tell() -> None:
+        typer.echo(json.dumps(document, ensure_ascii=False) if as_json else "\n".join(told.added(document)))
+
+    with told_whatever_happens(tell):
         if not dry_run and (after.fit.trusted or force):
             kept = after.fit.model.model_copy(update={"data": subject.with_data.data})
             document["version"] = subject.saved(kept, f"{command} {effect}", document["errors"])
-    finally:  # what was found is told all the same
-        typer.echo(json.dumps(document, ensure_ascii=False) if as_json else "\n".join(told.added(document)))

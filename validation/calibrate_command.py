@@ -27,7 +27,7 @@ from validation.compare_command import (
     errors_of,
     histories_traced,
 )
-from validation.writing import drawn, view_of
+from validation.writing import drawn, told_whatever_happens, view_of
 
 if TYPE_CHECKING:
     from luxloop.model import Model
@@ -123,13 +123,15 @@ def calibrate(
         document["warnings"] = [*at.faults, *overstated_of(found.after.fit, document["shots"])]
         at.record(document, found.after.residual_maps())
     document["version"] = None
-    try:
+
+    def tell() -> None:
+        typer.echo(json.dumps(document, ensure_ascii=False) if as_json else "\n".join(told.calibration(document)))
+        drawn(draw, document, dict, page)
+
+    with told_whatever_happens(tell):
         if not dry_run and (found.after.fit.trusted or force):
             kept = found.after.fit.model.model_copy(update={"data": subject.with_data.data})
             document["version"] = subject.saved(kept, "calibrate", errors_of(found.after))
-    finally:  # what was found is told all the same
-        typer.echo(json.dumps(document, ensure_ascii=False) if as_json else "\n".join(told.calibration(document)))
-        drawn(draw, document, dict, page)
 
 
 def refuse_fewer(histories: int | None, most_histories: int | None) -> None:

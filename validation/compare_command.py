@@ -15,7 +15,7 @@ import typer
 
 from luxloop.errors import InputError
 from luxloop.settings import load_settings
-from validation.writing import drawn, view_of
+from validation.writing import drawn, told_whatever_happens, view_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -115,12 +115,14 @@ class Asked:
             found = compared(subject.model, observed, at.predictor, solver, cache=settings.cache_dir / NULLS)
             document = self.document(subject, found, at.faults) | {"run": at.door.run, "folder": at.door.begun.folder}
             at.record(document, found.residual_maps())
-        try:
-            if keeps:  # the model file gets the data's path and hash
-                subject.saved(subject.with_data, f"compare {subject.dataset.folder.name}", errors_of(found))
-        finally:  # what was found is told all the same
+
+        def tell() -> None:
             _tell(document, as_json, where=self.command == "where")
             drawn(draw, document, found.arrays, self.page)
+
+        with told_whatever_happens(tell):
+            if keeps:  # the model file gets the data's path and hash
+                subject.saved(subject.with_data, f"compare {subject.dataset.folder.name}", errors_of(found))
 
     def document(self, subject: Subject, found: Comparison, faults: Sequence[str]) -> dict[str, Any]:
         """Of the comparison, with what was compared, and `faults` of the data; `where` adds the profiles."""

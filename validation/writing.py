@@ -50,6 +50,23 @@ def view_of(name: str, page: Path) -> Callable[..., None]:
     return draw
 
 
+@contextmanager
+def told_whatever_happens(tell: Callable[[], None]) -> Iterator[None]:
+    """What was found is told after what is done inside; an InputError there follows, and the command ends with 2.
+
+    That is told on stderr alone, as by `drawn`.
+    """
+    refused = None
+    try:
+        yield
+    except InputError as error:
+        refused = error
+    tell()
+    if refused is not None:
+        typer.echo(f"luxloop: {refused}", err=True)
+        raise typer.Exit(InputError.exit_code) from refused
+
+
 def drawn(
     draw: Callable[..., None] | None, document: Any, arrays: Callable[[], Mapping[str, Any]], page: Path | None
 ) -> None:

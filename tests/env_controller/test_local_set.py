@@ -64,11 +64,21 @@ def test_a_member_that_fails_at_once_ends_the_set(
     settings: Settings, ended: threading.Event, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """With its exit code (2: there is no such role), naming it; router and controller are stopped."""
-    monkeypatch.setattr(local_set, "AT_ONCE_S", 0.0)  # a loaded machine starts slowly
+    monkeypatch.setattr(local_set, "AT_ONCE_S", 0.0)  # bad input is bad however slowly a loaded machine starts
     with pytest.raises(MemberError, match="the nonsense ended with 2") as caught:
         run_local(settings, {"nonsense": 1}, ended, quiet=True)
     assert caught.value.exit_code == 2
     assert processes_at(settings.router) == []
+
+
+def test_a_member_that_breaks_at_once_ends_the_set(
+    settings: Settings, ended: threading.Event, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whatever its exit code says: it lacks something, and would again."""
+    monkeypatch.setattr(local_set, "AT_ONCE_S", 25.0)
+    monkeypatch.setattr(local_set.sys, "executable", "/bin/false")
+    with pytest.raises(MemberError, match="the router ended with 1"):
+        run_local(settings, {}, ended, quiet=True)
 
 
 def test_a_member_that_was_killed_at_once_is_started_again(settings: Settings) -> None:

@@ -12,7 +12,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from luxloop.errors import InputError
+from luxloop.effect import AppliedEffect
 from luxloop.journal.reader import RunJournal
 from luxloop.model_file import read_model
 from luxloop.settings import Settings, as_environment
@@ -80,10 +80,10 @@ def test_a_model_file_edited_meanwhile_costs_nobody_what_was_found(
     app = typer.Typer()
     app.command()(compare if argv[0] == "compare" else calibrate)
     with local_set(settings):
-        done = CliRunner().invoke(app, [*argv[1:], "--model", str(file), "--twin"])
-    assert isinstance(done.exception, InputError)
-    assert "nobody edits while a command runs" in str(done.exception)
-    assert "single-5.5" in done.stdout
+        done = CliRunner().invoke(app, [*argv[1:], "--model", str(file), "--twin", "--json"])
+    assert done.exit_code == 2
+    assert "nobody edits while a command runs" in done.stderr
+    assert json.loads(done.stdout)["shots"][-1]["id"] == "array-5.5"  # one object: what was found
     assert file.read_text().endswith("# mine\n")
 
 
@@ -92,11 +92,12 @@ def test_a_model_file_that_cannot_be_written_is_told_before_anything_is_computed
 ) -> None:
     """Commands that would write it end with 2 and name it; with --dry-run they go on to a router that is gone."""
     subject = subject_of(str(tmp_path / "model.toml"), EXAMPLE)
-    subject.saved(subject.with_data, "compare", {})
+    haze = AppliedEffect(name="veiling_glare", parameters={"share": 0.01})
+    subject.saved(subject.with_data.model_copy(update={"effects": (haze,)}), "compare", {})
     shutil.copytree(EXAMPLE, tmp_path / "other")
     shutil.rmtree(tmp_path / ".luxloop")
     (tmp_path / ".luxloop").touch()  # where its versions would lie; rights alone do not stop root
-    for argv in (("compare", "other"), ("calibrate",), ("add", "stray_daylight")):
+    for argv in (("compare", "other"), ("calibrate",), ("add", "ambient_gradient"), ("remove", "veiling_glare")):
         done = luxloop(settings, tmp_path, *argv, "--no-local")
         assert done.returncode == 2, done.stderr
         assert "a place that can be written" in done.stderr
