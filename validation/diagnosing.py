@@ -31,6 +31,7 @@ from validation.diagnose.refit import refit
 from validation.diagnose.refitted import Refitted
 from validation.diagnose.rounds import Diagnosis
 from validation.diagnose.score import Candidate, Projected, Score, scores
+from validation.diagnose.tried import of_all_or_each
 from validation.effects.known import Known, for_chips
 from validation.effects.signatures import Column, Projection, signature
 from validation.fit import Fit, fit
@@ -161,7 +162,7 @@ class Diagnosing:
             allowed, mend = "an effect that these data can show", "what is fitted anyway does all that it does"
             raise InputError("EFFECT", name, allowed, mend)
         tested = scores(projected, found.residual_with_priors, found.variance_scale, seed=self.solver.seed)
-        return {one.name: one.best for one in tested.effects}
+        return {one.name: of_all_or_each(found, one).best for one in tested.effects}
 
     def refitted(self, found: Fit, effect: EffectSpec) -> Refitted:
         """The fit with an effect at its best shape, what shapes it free where the data hold it."""

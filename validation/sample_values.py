@@ -97,6 +97,16 @@ def with_members(model: Model, values: Mapping[str, float]) -> Model:
     return model.model_copy(update={"samples": samples})
 
 
+def with_number(model: Model, path: str, value: object) -> Model:
+    """The model with another value at a path, a member's or its own. InputError for one that it does not take."""
+    if not path.startswith(LEAD):
+        return model.with_value(path, value)
+    limits, number = limits_of(model, path), float(str(value))
+    if limits is not None and not limits.lower <= number <= limits.upper:
+        raise InputError(path, number, f"{limits.lower:g} to {limits.upper:g}", "as for the effect itself")
+    return with_members(model, {path: number})
+
+
 def with_sample(model: Model, sample: str, effect: str, values: Mapping[str, Value]) -> Model:
     """The model with an effect's values in one sample."""
     return model.model_copy(

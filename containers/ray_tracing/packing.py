@@ -130,8 +130,7 @@ class _Packer:
         one = (_kept if keeps else _tabled)(name, same, index, side)
         at, sigmas = self.keep(one.shares), self.keep(one.sigmas)
         cells = self.keep(one.cells) if one.cells.size else 0
-        row = [len(one.kinds), one.nodes, one.stride, at, int(side == INSIDE), int(one.flat), int(one.specular)]
-        row += [sigmas, cells]
+        row = [len(one.kinds), one.nodes, one.stride, at, int(side == INSIDE), int(one.flat), sigmas, cells]
         self._rows.append(row + [*one.kinds] + [0] * (KIND + MOST_PARTS - len(row) - len(one.kinds)))
 
     def surfaces(self) -> Surfaces:
@@ -191,7 +190,6 @@ class _Tabled:
     nodes: int
     stride: int
     flat: bool
-    specular: bool
 
 
 def _tabled(name: str, waves: tuple[_Same, ...], index: tuple[float, ...], side: str) -> _Tabled:
@@ -223,7 +221,6 @@ def _tabled(name: str, waves: tuple[_Same, ...], index: tuple[float, ...], side:
         nodes=angles[0].size // (2 if side == INSIDE else 1),
         stride=shares[0].size if shares.shape[0] > 1 else 0,
         flat=bool(np.ptp(shares, axis=1).max() == 0.0),
-        specular=set(kinds) <= {MIRROR, REFRACTED},
     )
 
 

@@ -28,7 +28,7 @@ ABSORBED, REFLECTED, TRANSMITTED = range(3)
 """What became of a ray at a surface."""
 MIRROR, REFRACTED, LAMBERT, LAMBERT_THROUGH, LOBE, TABLE, FACETS = range(7)
 """Kinds of parts."""
-PARTS, NODES, STRIDE, AT, BEYOND, FLAT, SPECULAR, SIGMA_AT, CELLS_AT, KIND = range(10)
+PARTS, NODES, STRIDE, AT, BEYOND, FLAT, SIGMA_AT, CELLS_AT, KIND = range(9)
 """Columns of `layout` (STRIDE: from one wavelength to the next, 0 for all the same); from KIND on follow the
 kinds of up to `MOST_PARTS` parts."""
 MOST_PARTS = 6

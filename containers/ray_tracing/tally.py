@@ -37,6 +37,8 @@ class Box:
     columns: int
     folded: bool
     cell: bool
+    oblong: bool = False
+    """Where folded: x and y may not be exchanged, for more chips stand one way than the other."""
 
     @classmethod
     def of(cls, scene: Scene) -> Box:
@@ -144,7 +146,7 @@ class Tally:
         bins = self.bins.sum(axis=1) if layer is None else self.bins[:, layer]
         if not self.box.folded:
             return np.asarray(bins)
-        quarter = _unfolded(bins)
+        quarter = self._unfolded(bins)
         half = np.concatenate([quarter[:, ::-1], quarter], axis=1)
         return np.concatenate([half[:, :, ::-1], half], axis=2)
 
@@ -152,14 +154,13 @@ class Tally:
         """The light of one layer of a cell, or of what repeats as one does, `spacing_um` wide."""
         if self.box.folded:
             return CellField.from_quarter(
-                _unfolded(self.bins[:, layer]), self.histories, spacing_um, height_um, modes
+                self._unfolded(self.bins[:, layer]), self.histories, spacing_um, height_um, modes
             )
         return CellField.from_bins(self.bins[:, layer], self.histories, spacing_um, height_um, modes)
 
-
-def _unfolded(bins: Real) -> Real:
-    """The light of one quadrant (group, y, x), of bins into which eight octants were folded."""
-    return np.asarray((bins + bins.swapaxes(1, 2)) / 8.0)
+    def _unfolded(self, bins: Real) -> Real:
+        """The light of one quadrant (group, y, x), of bins into which all four were folded."""
+        return bins / 4.0 if self.box.oblong else np.asarray((bins + bins.swapaxes(1, 2)) / 8.0)
 
 
 def _widest_um(height_um: float) -> float:

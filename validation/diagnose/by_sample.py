@@ -21,7 +21,7 @@ from luxloop.model import Fit as Limits
 from luxloop.model import Model
 from validation.diagnose.evidence import drawn_back
 from validation.diagnose.frozen import slopes_of
-from validation.diagnose.refit import LEAST_SHARE, posed, with_slopes
+from validation.diagnose.refit import LEAST_DROP, LEAST_SHARE, posed, with_slopes
 from validation.diagnose.refitted import limits_of
 from validation.effects.known import acting, applied, is_smooth, off_values, shapes_of, with_effect
 from validation.effects.signatures import Column, Projection
@@ -32,9 +32,6 @@ from validation.sample_values import Member, free_members, with_members, with_sa
 Real = NDArray[np.float64]
 Columns = Callable[[Fit, EffectSpec, Mapping[str, Value]], list[Column]]
 """The columns of an effect at a fit, in a shape, apart for every sample."""
-
-LEAST_DROP = 10.0
-"""Of chi2, three standard deviations and a little: a sample in which an effect lowers it by less stays without."""
 
 
 def is_by_sample(spec: EffectSpec) -> bool:

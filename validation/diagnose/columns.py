@@ -139,9 +139,31 @@ def in_shape(
         if own:
             parts = () if one.per_chip else own[0].parts
             found.append(Candidate(spec, one, words, np.array([projection.rows(column) for column in own]), parts))
+    yield from _together(found)
+    yield from _together([one for each in found for one in _apart(each, sight, projection)])
+
+
+def _together(found: Sequence[Candidate]) -> Iterator[Candidate]:
+    """Each number of an effect, with the others; a group by itself."""
     single = [each for each in found if not each.is_group]
     for each in found:
         yield replace(each, others=tuple(other for other in single if other is not each and not each.is_group))
+
+
+def _apart(one: Candidate, sight: FitSight, projection: Projection) -> Iterator[Candidate]:
+    """A number of an effect that each sample may have its own of, sample by sample: what it does to its images.
+
+    Tilts of several modules need have no direction in common. Not where a shape is tried, another in each, nor
+    where curves show it, which have one value for all.
+    """
+    samples = list(dict.fromkeys(view.sample.id for view in sight.views))
+    seen, curves = one.parts[: len(sight.views)], one.parts[len(sight.views) :]
+    common = one.effect.scope != "per_sample" or one.is_group or bool(one.shape) or any(np.any(c) for c in curves)
+    for sample in [] if common or len(samples) < 2 else samples:
+        own = zip(sight.views, seen, strict=True)
+        parts = (*(part if view.sample.id == sample else np.zeros_like(part) for view, part in own), *curves)
+        column = Column(one.effect.name, one.parameter.name, {}, None, 1.0, parts, sample)
+        yield replace(one, columns=projection.rows(column)[None], parts=parts, sample=sample)
 
 
 def _switches(

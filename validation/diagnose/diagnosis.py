@@ -25,7 +25,16 @@ from validation.diagnose.proposal import Proposal, next_in_words
 from validation.diagnose.refitted import Refitted
 from validation.diagnose.rounds import Diagnosis, Step, is_the_rest, trusted
 from validation.diagnose.score import Candidate, Projected, Scores, scores
-from validation.diagnose.tried import GroundOf, InShape, MembersFit, Progress, Tried, columns_of, short_list
+from validation.diagnose.tried import (
+    GroundOf,
+    InShape,
+    MembersFit,
+    Progress,
+    Tried,
+    columns_of,
+    of_all_or_each,
+    short_list,
+)
 from validation.diagnose.verdict import Verdict, decided, is_visible, not_trustworthy, nothing_visible
 from validation.effects.confounding import Confounding, confounding
 from validation.fit import AT_LIMIT, NOT_CONVERGED, Fit
@@ -128,13 +137,14 @@ def _step(ground: Ground, effects: Sequence[EffectSpec], means: Means, seed: int
         closer = means.closely(fit, [one for one in effects if one.name in faint])
         candidates = [one for one in candidates if one.effect.name not in faint] + closer
         scored = _scored(ground, candidates, seed)
-    best = {one.name: columns_of(fit, one.best.candidate) for one in scored.effects}
+    chosen = replace(scored, effects=tuple(of_all_or_each(fit, one) for one in scored.effects))
+    best = {one.name: columns_of(fit, one.best.candidate) for one in chosen.effects}
     alike = confounding(best)
     if not is_visible(ground.structure.p, scored.p):
         nothing = nothing_visible(limits_in_words(scored), more_in_words(fit))
         verdict = not_trustworthy(fit.distrust) if fit.distrust else nothing
         return Step(ground, scored, alike, (), (), verdict)
-    tried = Tried(ground, means.in_shape, best, short_list(fit, scored, alike))
+    tried = Tried(ground, means.in_shape, best, short_list(fit, chosen, alike))
     tried.refit(means.progress)
     tried.finish(means.progress)
     tried.look_into_group(means.members_fit, means.ground_of)

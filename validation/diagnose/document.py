@@ -33,7 +33,7 @@ def document(found: Diagnosis, seed: int) -> dict[str, Any]:
                 "name": one.name, "stage": one.best.candidate.effect.stage, "z": one.best.z, "p": one.p,
                 "chi2_drop": one.best.drop, "size": one.best.size, "error": finite(one.best.error),
                 "score_variable": one.best.candidate.parameter.score_variable,
-                "parameter": one.best.candidate.parameter.name, "left": one.best.left,
+                "parameter": one.best.candidate.words, "left": one.best.left,
             }
             for one in first.scores.effects
         ],

@@ -40,7 +40,7 @@ from validation.fit.anchored_fit import ANCHOR_MOVE, MAX_ANCHORS, moved
 from validation.fit.problem import CurvePredictor, ImagePredictor, Problem
 from validation.prediction import Anchored, View
 from validation.prediction.differences import Moved, stencil
-from validation.sample_values import LEAD
+from validation.sample_values import LEAD, with_number
 
 Real = NDArray[np.float64]
 
@@ -92,10 +92,10 @@ def _left_off(found: Refitted, problem: Problem, own: Fit) -> tuple[Refitted, Fi
     if len(inside) == len(others) or found.paths[0] in own.driven:
         return found, own
     fewer = replace(found, candidate=replace(first, others=tuple(inside)))
-    left = {path_of(one.effect.name, one.parameter.name): one.parameter.off for one in others if one not in inside}
+    left = {one.path: one.parameter.off for one in others if one not in inside}
     model = own.model
     for path, off in left.items():
-        model = model.with_value(path, off)
+        model = with_number(model, path, off)
     model = model.model_copy(update={"fit": {path: one for path, one in model.fit.items() if path not in left}})
     paths = [path for path in own.problem.unknowns.model_paths if path not in left]
     fit = _renewed(*posed(problem, model, paths, own.problem.unknowns.named(own.values)))
@@ -283,35 +283,44 @@ def _sloped(found: Refitted, fit: Fit, predictor: ImagePredictor, anchor: Anchor
         if path in slopes and not at_off:
             steps = stencil(partial(_moved, fit, path), SLOPE_SHARE * (upper - lower), path)
             squared = 2.0 * fit.value(path) if path in frozen.squares else 1.0
-            images = _slope(steps, views, predictor, anchor, squared)
+            seen = [number for number, view in enumerate(views) if one.sample in ("", view.sample.id)]
+            images = _slope(steps, views, seen, predictor, anchor, squared)
             slopes[path] = [*images, *slopes[path][len(images) :]]
     before, own = frozen.others, {path: slopes[path] for path in found.paths if path in slopes}
     return replace(frozen, slopes=slopes, others=None if before is None else cache(lambda: {**before(), **own}))
 
 
 def _moved(fit: Fit, path: str, by: float) -> Model:
-    return fit.model.with_value(path, fit.value(path) + by)
+    return with_number(fit.model, path, fit.value(path) + by)
 
 
 def _slope(
-    steps: Sequence[Moved[Model]], views: Sequence[View], predictor: ImagePredictor, anchor: Anchored, squared: float
+    steps: Sequence[Moved[Model]],
+    views: Sequence[View],
+    own: Sequence[int],
+    predictor: ImagePredictor,
+    anchor: Anchored,
+    squared: float,
 ) -> list[Real]:
     """What two differences of Monte Carlo at moved models agree about, each with random numbers of its own.
 
     Not those of the anchor, whose noise is in the residual; by a tenth of the range to either side, for of most such
-    columns a fit leaves little, and short steps leave noise. `squared`: the slope of its square, by which it is told.
+    columns a fit leaves little, and short steps leave noise. `own`: of the views, those that it moves. `squared`: the
+    slope of its square, by which it is told.
     """
 
     histories = anchor.histories // 2
-    there = replace(anchor, histories=histories, enough=enough_of(views, histories))
+    looked_at = [views[number] for number in own]
+    poses = tuple(anchor.poses[number] for number in own) if anchor.poses else ()
+    there = replace(anchor, histories=histories, poses=poses, enough=enough_of(looked_at, histories))
 
     def run(number: int) -> list[Real]:
         slopes = [np.zeros((view.rows, view.columns)) for view in views]
         for weight, model in steps:
             seed, exits = anchor.seed + 1 + number, anchor.exit_seed + number
             moved_there = replace(there, model=model, seed=seed, exit_seed=exits)
-            for slope, image in zip(slopes, predictor.images(model, views, (), moved_there), strict=True):
-                slope += weight * image.irradiance_per_mm2 / squared
+            for seen, image in zip(own, predictor.images(model, looked_at, (), moved_there), strict=True):
+                slopes[seen] += weight * image.irradiance_per_mm2 / squared
         return slopes
 
     return [agreed(*of) for of in zip(run(0), run(1), strict=True)]

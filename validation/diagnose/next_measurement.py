@@ -251,7 +251,9 @@ def _has_size(one: Refitted) -> bool:
 def _at_size(model: Model, one: Refitted) -> Model:
     """The model with the effect as it was fitted: in the shape that it ended with, to which its size belongs."""
     spec = one.candidate.effect
-    values = off_values(spec, dict(one.shape)) | ({} if one.candidate.is_switch else one.size)
+    tried = (each for each in (one.candidate, *one.candidate.others) if each.sample == one.candidate.sample)
+    own = {each.parameter.name: one.size[each.path] for each in tried}
+    values = off_values(spec, dict(one.shape)) | ({} if one.candidate.is_switch else own)
     return with_effect(model, applied(spec, values))
 
 

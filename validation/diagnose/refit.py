@@ -28,7 +28,7 @@ from validation.diagnose.anew import (
 )
 from validation.diagnose.evidence import drawn_back
 from validation.diagnose.frozen import FrozenCurves, FrozenImages, Slopes, frozen_at
-from validation.diagnose.refitted import Refitted, added, limits_of, path_of
+from validation.diagnose.refitted import Refitted, added, limits_of
 from validation.effects.known import is_smooth
 from validation.fit import Fit, prior_chi2, refitted, unknowns_of
 from validation.fit.descent import is_dark
@@ -46,6 +46,9 @@ LEAST_SHARE = 1e-3
 
 LEAST = 1e-4
 """Of a column: what the fit's own parameters must leave of it, for it to be fitted beside another."""
+
+LEAST_DROP = 10.0
+"""Of chi2, three standard deviations and a little: a sample in which an effect lowers it by less stays without."""
 
 MOST_HALVINGS = 4
 
@@ -80,7 +83,7 @@ def _freed(base: Fit, score: Score, slopes: Slopes, tried: Sequence[Candidate]) 
     the effect: beyond a straight line's reach."""
     candidate = replace(score.candidate, others=tuple(tried[1:]))
     sizes = [score.size] if len(tried) == 1 else _sizes(base, tried)
-    paths = [path_of(one.effect.name, one.parameter.name) for one in tried]
+    paths = [one.path for one in tried]
     squares = frozenset(
         path for path, one in zip(paths, tried, strict=True) if one.parameter.score_variable == "square"
     )
@@ -94,8 +97,7 @@ def _freed(base: Fit, score: Score, slopes: Slopes, tried: Sequence[Candidate]) 
         left = base.residual - sum(size * one.columns[0] for one, size in zip(tried, sizes, strict=True))
         step = reduce(base.columns, left, own.parameters, base.values).step(short=True)
         beside, at = own.within(base.values + step.change), dict(zip(paths, starts, strict=True))
-        named = {one.parameter.name: start for one, start in zip(tried, starts, strict=True)}
-        problem, values = posed(frozen, added(base.model, candidate, named), tuple(slopes), own.named(beside) | at)
+        problem, values = posed(frozen, added(base.model, candidate, at), tuple(slopes), own.named(beside) | at)
         if not is_dark(problem, values):
             residual = problem.evaluate(values, derivatives=False).residual(base.whitening)
             if residual @ residual + prior_chi2(own.parameters, beside) <= total_chi2(base):
@@ -111,11 +113,20 @@ def _freed(base: Fit, score: Score, slopes: Slopes, tried: Sequence[Candidate]) 
 
 
 def acting_together(base: Fit, candidate: Candidate) -> list[Candidate]:
-    """A candidate, and those of the effect's other parameters of which the fit's own leave something."""
-    shown = [
-        np.linalg.norm(base.basis.left(one.columns)) > LEAST * np.linalg.norm(one.columns) for one in candidate.others
-    ]
-    return [candidate, *(one for one, shows in zip(candidate.others, shown, strict=True) if shows)]
+    """A candidate, and those of the effect's other numbers of which the fit's own leave something; of those that
+    other samples have, where it shows there."""
+    left = {one.path: base.basis.left(one.columns) for one in (candidate, *candidate.others)}
+    others = [one for one in candidate.others if np.linalg.norm(left[one.path]) > LEAST * np.linalg.norm(one.columns)]
+    shown = {candidate.sample}
+    for sample in {one.sample for one in others} - shown:
+        if drop_of(base, np.concatenate([left[one.path] for one in others if one.sample == sample])) >= LEAST_DROP:
+            shown.add(sample)
+    return [candidate, *(one for one in others if one.sample in shown)]
+
+
+def drop_of(base: Fit, rows: Real) -> float:
+    """By how much chi2 falls with all of these columns, of which the fit's own left this, on the linear model."""
+    return float(np.sum((_fitted(base, rows) @ rows) ** 2))
 
 
 def whole_of(base: Fit, found: Refitted, candidate: Candidate) -> Real:
@@ -124,8 +135,8 @@ def whole_of(base: Fit, found: Refitted, candidate: Candidate) -> Real:
     `candidate`: in the shape that it was fitted with; what it acts by besides, and was left off, does not count.
     """
     size = found.size
-    tried = [one for one in (candidate, *candidate.others) if one.parameter.name in size]
-    return np.asarray(sum(one.size(size[one.parameter.name]) * base.basis.left(one.columns)[0] for one in tried))
+    tried = [one for one in (candidate, *candidate.others) if one.path in size]
+    return np.asarray(sum(one.size(size[one.path]) * base.basis.left(one.columns)[0] for one in tried))
 
 
 def expected(base: Fit, candidate: Candidate) -> tuple[float, float]:
@@ -142,8 +153,11 @@ def expected(base: Fit, candidate: Candidate) -> tuple[float, float]:
 
 def _sizes(base: Fit, tried: Sequence[Candidate]) -> list[float]:
     """Where their columns, less what the fit's own parameters do, leave least."""
-    rows = np.concatenate([base.basis.left(one.columns) for one in tried])
-    return [float(size) for size in np.linalg.lstsq(rows.T, base.residual_with_priors, rcond=1e-6)[0]]
+    return list(map(float, _fitted(base, np.concatenate([base.basis.left(one.columns) for one in tried]))))
+
+
+def _fitted(base: Fit, rows: Real) -> Real:
+    return np.asarray(np.linalg.lstsq(rows.T, base.residual_with_priors, rcond=1e-6)[0])
 
 
 def _inside(one: Candidate, size: float) -> float:

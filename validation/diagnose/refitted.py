@@ -15,6 +15,7 @@ from luxloop.model import Model
 from validation.diagnose.anew import total_chi2
 from validation.effects.known import applied, off_values, with_effect
 from validation.fit import Fit
+from validation.sample_values import numbers, with_sample
 
 if TYPE_CHECKING:
     from validation.diagnose.score import Candidate
@@ -65,28 +66,28 @@ class Refitted:
         effects = () if self.model is None else self.model.effects
         values = next((e.parameters for e in effects if e.name == self.candidate.effect.name), {})
         shaped = tuple((name, values.get(name, value)) for name, value in self.candidate.shape)
-        beside = [one.parameter.name for one in self.candidate.others]
-        return (*shaped, *((name, values[name]) for name in beside if name in values))
+        known = {} if self.model is None else numbers(self.model)
+        beside = {one.words: known[one.path] for one in self.candidate.others if one.path in known}
+        return (*shaped, *beside.items())
 
     @property
     def paths(self) -> tuple[str, ...]:
         """Of the parameters that act, the one that scored first."""
-        tried = (self.candidate, *self.candidate.others)
-        return tuple(path_of(one.effect.name, one.parameter.name) for one in tried)
+        return tuple(one.path for one in (self.candidate, *self.candidate.others))
 
     @property
     def numbers(self) -> int:
         """How many of the effect's numbers were fitted, lengths among them; of a group and a switch 1."""
         known = () if self.fit is None else self.fit.problem.unknowns.model_paths
-        return max(1, sum(path.startswith(path_of(self.candidate.effect.name, "")) for path in known))
+        of_all, own = path_of(self.candidate.effect.name, ""), self.paths
+        return max(1, sum(path in own or path.startswith(of_all) for path in known))
 
     @property
     def size(self) -> dict[str, float]:
-        """The effect's parameters that act, by name, as its model has them; of a group and a switch the one value."""
-        own = self.candidate.parameter.name
-        shape = dict(self.shape)
-        others = {one.parameter.name: shape[one.parameter.name] for one in self.candidate.others}
-        return {own: self.value} | {name: value for name, value in others.items() if isinstance(value, float)}
+        """The effect's numbers that act, by path, as its model has them; of a group and a switch the one value."""
+        known = {} if self.model is None else numbers(self.model)
+        others = {one.path: float(known[one.path]) for one in self.candidate.others}
+        return {self.candidate.path: self.value} | others
 
 
 def path_of(effect: str, parameter: str) -> str:
@@ -95,15 +96,20 @@ def path_of(effect: str, parameter: str) -> str:
 
 
 def added(model: Model, candidate: Candidate, size: Mapping[str, float]) -> Model:
-    """The model with the effect of a candidate in its shape; those with a size (a switch has none) are free."""
-    spec = candidate.effect
-    values, limits = off_values(spec, dict(candidate.shape)), dict[str, Limits]()
-    for one in spec.parameters:
-        if one.name in size:
-            lower, upper = limits_of(one)
-            values[one.name] = float(np.clip(size[one.name], lower, upper))
-            limits[path_of(spec.name, one.name)] = Limits(free=True, lower=lower, upper=upper)
-    return with_effect(model, applied(spec, values)).model_copy(update={"fit": model.fit | limits})
+    """The model with the effect of a candidate in its shape; what has a size, by path (no switch has), is free."""
+    spec, limits = candidate.effect, dict[str, Limits]()
+    off = off_values(spec, dict(candidate.shape))
+    values = {"": dict(off)}
+    for one in (candidate, *candidate.others):
+        if one.path in size:
+            lower, upper = limits_of(one.parameter)
+            value = float(np.clip(size[one.path], lower, upper))
+            values.setdefault(one.sample, dict(off))[one.parameter.name] = value
+            limits[path_of(spec.name, one.parameter.name)] = Limits(free=True, lower=lower, upper=upper)
+    model = with_effect(model, applied(spec, values.pop("")))
+    for sample, own in values.items():
+        model = with_sample(model, sample, spec.name, own)
+    return model.model_copy(update={"fit": model.fit | limits})
 
 
 def limits_of(one: EffectParameter) -> tuple[float, float]:

@@ -23,6 +23,7 @@ from scipy.special import log_ndtr  # scipy.stats takes half a second to import
 
 from luxloop.effect import EffectParameter, EffectSpec, Value
 from validation.fit.least_squares import Basis
+from validation.sample_values import Member
 
 Real = NDArray[np.float64]
 
@@ -51,7 +52,9 @@ class Candidate:
     is_switch: bool = False
     """Whether it is there or not: its column is the whole way from off to its shape, its size 1."""
     others: tuple[Candidate, ...] = ()
-    """The effect's other parameters that act, in this shape: scored by themselves, and fitted together with it."""
+    """The effect's other numbers that act, in this shape: scored by themselves, and fitted together with it."""
+    sample: str = ""
+    """Whose own number it is, where each sample has one; "": all samples have one in common."""
 
     @property
     def is_group(self) -> bool:
@@ -74,7 +77,18 @@ class Candidate:
     def key(self) -> str:
         """Tells it from the same effect in another shape."""
         shape = ", ".join(f"{name} {value}" for name, value in self.shape)
-        return f"{self.effect.name}.{self.parameter.name}" + (f" ({shape})" if shape else "")
+        return self.path.removeprefix("effects.") + (f" ({shape})" if shape else "")
+
+    @property
+    def path(self) -> str:
+        """Of its number in a model."""
+        member = Member(self.sample, self.effect.name, self.parameter.name)
+        return member.path if self.sample else member.limits_path
+
+    @property
+    def words(self) -> str:
+        """Of its number, beside the effect's name."""
+        return self.parameter.name + (f" of {self.sample}" if self.sample else "")
 
     def value(self, size: float) -> float:
         """The parameter at a size of its score variable; ValueError for a switch."""
@@ -119,7 +133,9 @@ class EffectScore:
     p: float
     """Chance that noise alone makes this effect score as well, over its shapes."""
     shapes: int = 1
-    """In how many it was scored."""
+    """In how many it was scored, a number of one sample among them."""
+    apart: Score | None = None
+    """The best number of one sample, of an effect that each may have its own of."""
 
     @property
     def name(self) -> str:
@@ -217,8 +233,10 @@ def scores(projected: Projected, residual: Real, scale: float = 1.0, draws: int 
     for number, name in enumerate(names):
         rows = [k for k, one in enumerate(projected.candidates) if one.effect.name == name]
         best = max((found[k] for k in rows), key=lambda score: score.drop)
+        of_samples = [found[k] for k in rows if projected.candidates[k].sample]
+        apart = max(of_samples, key=lambda score: score.drop, default=None)
         largest = drawn[rows].max(axis=0)
-        effects.append(EffectScore(best, _p(largest, best.drop, len(rows)), len(rows)))
+        effects.append(EffectScore(best, _p(largest, best.drop, len(rows)), len(rows), apart))
         normal[number] = _own_ps(largest, len(rows))
     smallest = normal.min(axis=0) if names else np.ones(draws)
     observed = min((one.p for one in effects), default=1.0)

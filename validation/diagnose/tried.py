@@ -8,6 +8,7 @@ from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtri  # scipy.stats takes half a second to import
 
 from luxloop.effect import EffectSpec, Value
 from validation.diagnose import held_out as held
@@ -15,10 +16,10 @@ from validation.diagnose.anew import total_chi2
 from validation.diagnose.by_place import chance_by_place
 from validation.diagnose.ending import beside, finished, is_stuck, unstuck
 from validation.diagnose.evidence import group_log_evidence, log_evidence
-from validation.diagnose.explanation import Explanation, follows_field
+from validation.diagnose.explanation import LEVEL, Explanation, follows_field
 from validation.diagnose.frozen import slopes_of
 from validation.diagnose.ground import Ground
-from validation.diagnose.refit import acting_together, expected, refit, whole_of
+from validation.diagnose.refit import acting_together, drop_of, expected, refit, whole_of
 from validation.diagnose.refitted import Refitted, limits_of, of_members
 from validation.diagnose.score import Candidate, EffectScore, Score, Scores
 from validation.diagnose.verdict import ALIKE
@@ -183,9 +184,23 @@ def short_list(base: Fit, scored: Scores, alike: Confounding) -> list[EffectScor
     return best + near + [one for one in others if one.best.candidate.is_switch and one not in near]
 
 
+def of_all_or_each(base: Fit, one: EffectScore) -> EffectScore:
+    """The score by the number of one sample, to be fitted with those of the others, where one number of all explains
+    less than they do, by more than noise gives so many more."""
+    if one.apart is None or one.best.candidate.sample:
+        return one
+    rows = [columns_of(base, score.candidate) for score in (one.best, one.apart)]
+    of_all, of_each = (drop_of(base, some) for some in rows)
+    more = max(len(rows[1]) - len(rows[0]), 1)
+    return replace(one, best=one.apart) if of_each - of_all > chdtri(more, LEVEL / 2.0) else one
+
+
 def promised(base: Fit, score: Score) -> tuple[float, float]:
-    """By how much chi2 should fall with an effect, and its size: its score's, or more where a limit holds the fit."""
+    """By how much chi2 should fall with an effect, and its size: its score's, or more where a limit holds the fit, or
+    where every sample has its own of it."""
     own = score.drop, score.size
+    if score.candidate.sample and score.drop > 0.0:
+        own = max(score.drop, drop_of(base, columns_of(base, score.candidate))), score.size
     return own if score.candidate.is_group or not base.at_limit else max(own, expected(base, score.candidate))
 
 
@@ -212,7 +227,7 @@ def _explanation(
     by_place = _by_place(base, candidate) if candidate.is_group else None
     return Explanation(
         name=score.name,
-        parameter=candidate.parameter.name,
+        parameter=candidate.words,
         unit=candidate.parameter.unit,
         shape=found.shape,
         as_well=found.as_well,

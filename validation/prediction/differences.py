@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Generic, NamedTuple, TypeVar
 
 from luxloop.errors import InputError
+from validation.sample_values import LEAD, limits_of, numbers, with_number
 
 if TYPE_CHECKING:
     from luxloop.model import Model
@@ -40,17 +41,17 @@ def moved_models(model: Model, path: str, share: float = SHARE) -> list[Moved[Mo
     ------
     InputError : a path that is not in the model, or no number that can move.
     """
-    value = model.leaves().get(path)
+    value = numbers(model).get(path)
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise InputError("path", path, "the path of a number in the model", "luxloop model show lists them")
-    fit = model.fit.get(path)
+    fit = limits_of(model, path)
     step = share * (fit.upper - fit.lower) if fit is not None else share * abs(value)
-    return stencil(lambda by: model.with_value(path, value + by), step_of(path, step), path)
+    return stencil(lambda by: with_number(model, path, value + by), step_of(path, step), path)
 
 
 def step_of(path: str, otherwise: float) -> float:
     """The stated step of a parameter, or another one; what an effect's number is called says nothing of it."""
-    return STEPS.get(path if path.startswith("effects.") else path.rpartition(".")[2], otherwise)
+    return STEPS.get(path if path.startswith(("effects.", LEAD)) else path.rpartition(".")[2], otherwise)
 
 
 def stencil(moved: Callable[[float], T], step: float, name: str) -> list[Moved[T]]:

@@ -18,7 +18,7 @@ from luxloop.errors import InputError
 from luxloop.ray import AnchorRequest, ChipArray, PredictionRequest, RayRequest, ShotRequest
 from validation.prediction.differences import SHARE, moved_models
 from validation.prediction.words import POSE_COLUMNS, Anchored, Pose, Predicted, Real, Traced, View, run_of
-from validation.sample_values import of_sample
+from validation.sample_values import members, of_sample
 
 if TYPE_CHECKING:
     from luxloop.client import Answer
@@ -130,8 +130,13 @@ class Wanted:
         """By differences of models that are moved about the anchor: of effects on all light."""
         if self.anchor is None or not self.anchor.histories:
             return ()
-        own = [path for path in self.paths if path not in self.columns and path.startswith("effects.")]
-        return tuple(path for path in own if path.split(".")[1] in self.on_all_light)
+        own = [path for path in self.paths if path not in self.columns]
+        return tuple(path for path in own if self.effect_of(path) in self.on_all_light)
+
+    def effect_of(self, path: str) -> str:
+        """The effect whose number is at a path, of one sample or of all; "": no effect's."""
+        own = members(self.model).get(path)
+        return own[0].effect if own else path.split(".")[1] if path.startswith("effects.") else ""
 
     @property
     def differences(self) -> tuple[str, ...]:
@@ -366,9 +371,8 @@ def _moves(wanted: Wanted, views: Sequence[View]) -> Iterator[_Move]:
     Where the anchor lacks an effect, or has it elsewhere, about the wanted model: effects are bent more.
     """
     for path in wanted.differences:
-        of_effect = path.startswith("effects.")
-        at = wanted.model if wanted.anchor is None or of_effect else wanted.anchor.model
-        name = path.split(".")[1] if of_effect else ""
+        name = wanted.effect_of(path)
+        at = wanted.model if wanted.anchor is None or name else wanted.anchor.model
         traced = name in wanted.beyond_twin
         share = CHANCE_SHARE if name in wanted.by_chance else DIFFERENCE_SHARE if traced else SHARE
         for weight, model in moved_models(at, path, share):

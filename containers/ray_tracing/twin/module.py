@@ -242,7 +242,8 @@ def surroundings(scene: Scene, layout: Array) -> tuple[Scene, Box]:
     )
     bins = min(int(np.ceil(reach * BINS_PER_HEIGHT / scene.height_um)), MOST_BINS)
     if scene.emission.symmetric:
-        box = Box(0.0, 0.0, reach / bins, bins, bins, folded=True, cell=False)
+        oblong = layout.rows != layout.columns
+        box = Box(0.0, 0.0, reach / bins, bins, bins, folded=True, cell=False, oblong=oblong)
     else:
         box = Box(-reach, -reach, reach / bins, 2 * bins, 2 * bins, folded=False, cell=False)
     return replace(scene, layout=around), box

@@ -33,7 +33,7 @@ from validation.effects.signatures import Column, Projection, signature
 from validation.fit import Fit, fit
 from validation.measured import MeasuredImage
 from validation.prediction import Anchored, Predicted, View
-from validation.sample_values import of_sample
+from validation.sample_values import LEAD, numbers, of_sample, with_number
 
 Real = NDArray[np.float64]
 GAIN = 300.0
@@ -80,16 +80,16 @@ class Affected(Spots):
         self, model: Model, views: Sequence[View], paths: Sequence[str] = (), anchor: Anchored | None = None
     ) -> list[Predicted]:
         """As `Spots`; derivatives by effects are differences."""
-        own = [path for path in paths if not path.startswith("effects.")]
+        own = [path for path in paths if not path.startswith(("effects.", LEAD))]
         found = super().images(model, views, own, anchor)
         affected = []
         for view, one in zip(views, found, strict=True):
             columns = {name: seen(model, view, part) for name, part in one.jacobian_per_mm2.items()}
             free = model.model_copy(update={"fit": {}})  # a step goes beyond a limit
             for path in set(paths) - set(own):
-                value = model.leaves()[path]
+                value, moving = numbers(model)[path], model if path.startswith(LEAD) else free
                 up, down = (
-                    seen(free.with_value(path, value + by), view, one.irradiance_per_mm2) for by in (1e-4, -1e-4)
+                    seen(with_number(moving, path, value + by), view, one.irradiance_per_mm2) for by in (1e-4, -1e-4)
                 )
                 columns[path] = (up - down) / 2e-4
             affected.append(

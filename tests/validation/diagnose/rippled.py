@@ -24,6 +24,7 @@ from validation.fit import Fit, fit
 from validation.fit.problem import view_of
 from validation.measured import MeasuredImage
 from validation.prediction import Anchored, Pose, Predicted, View
+from validation.sample_values import of_sample, with_sample
 
 Real = NDArray[np.float64]
 
@@ -42,7 +43,8 @@ def strength(size: float) -> float:
 
 def traced(model: Model, view: View, light: Real) -> Real:
     """What Monte Carlo makes of light under the model's effect."""
-    sizes = [float(one.parameters["size"]) for one in model.effects]  # type: ignore[arg-type]  # a number here
+    effects = of_sample(model, view.sample.id).effects
+    sizes = [float(one.parameters["size"]) for one in effects]  # type: ignore[arg-type]  # a number here
     ripple = AppliedEffect(name="ripple", parameters={"size": strength(*sizes) if sizes else 0.0})
     return seen(MODEL.model_copy(update={"effects": (ripple,)}), view, light)
 
@@ -68,9 +70,11 @@ class Anchors(Spots):
         return found
 
 
-def data() -> list[MeasuredImage]:
-    """Three images with the effect at its true size, with noise."""
-    model = with_effect(MODEL, applied(RIPPLE, {"size": TRUTH}))
+def data(**own: float) -> list[MeasuredImage]:
+    """Three images with the effect at its true size, or at that which samples have of their own, with noise."""
+    model = with_effect(MODEL, applied(RIPPLE, {"size": 0.0 if own else TRUTH}))
+    for sample, size in own.items():
+        model = with_sample(model, sample, "ripple", {"size": size})
 
     def light(view: View) -> Real:
         (one,) = Spots().images(MODEL, [view])
@@ -111,6 +115,6 @@ def smooth_score_of(base: Fit) -> Score:
     return replace(score, candidate=replace(score.candidate, effect=spec("ripple")))
 
 
-def base_fit() -> Fit:
-    """The fit without the effect, about Monte Carlo where it stands."""
-    return fit(MODEL, data(), Anchors(), free=PATHS, anchor_at=lambda model: Anchored(model, ANCHORED, seed=7))
+def base_fit(**own: float) -> Fit:
+    """The fit without the effect, about Monte Carlo where it stands; `own`: what samples have of it, as `data`."""
+    return fit(MODEL, data(**own), Anchors(), free=PATHS, anchor_at=lambda model: Anchored(model, ANCHORED, seed=7))

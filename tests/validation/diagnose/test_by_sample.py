@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -15,14 +16,21 @@ from luxloop.model import Fit as Limits
 from luxloop.model import Model
 from luxloop.model_file import parse_toml, to_toml
 from tests.validation.analytic import MODEL, PATHS
-from tests.validation.diagnose import made_up
+from tests.validation.diagnose import made_up, rippled
 from tests.validation.diagnose.made_up import CHIPS, columns_at, hidden
 from validation.diagnose.anew import has_strayed
 from validation.diagnose.by_sample import Own, _members, _renewed, is_by_sample, with_members_free, with_own_values
+from validation.diagnose.columns import _apart
+from validation.diagnose.ending import finished
+from validation.diagnose.frozen import slopes_of
 from validation.diagnose.held_out import folds_by_blocks, folds_by_sample, held_out
+from validation.diagnose.refit import freed
+from validation.diagnose.refitted import Refitted
+from validation.diagnose.score import Candidate, Score
+from validation.effects.signatures import Projection
 from validation.fit import Fit, fit
 from validation.fit.parameters import free_paths
-from validation.prediction import Anchored
+from validation.prediction import Anchored, Predicted, View
 from validation.sample_values import free_members, members, of_sample, refuse_strangers, with_members, without_samples
 
 TILTED = made_up.spec("ripple").model_copy(update={"scope": "per_sample"})
@@ -47,6 +55,69 @@ def test_each_sample_gets_its_value_and_one_that_shows_nothing_stays_without() -
     assert found.trusted
     assert [one.parameters for one in found.model.effects] == [{"size": 0.0}]
     assert parse_toml(to_toml(found.model), "") == found.model
+
+
+@pytest.mark.parametrize(
+    ("common", "own"), [(0.0, {"array": 0.05, "third": -0.05}), (0.05, {})], ids=["of each", "of all"]
+)
+def test_a_diagnosis_names_what_each_sample_has_its_own_of(common: float, own: dict[str, float]) -> None:
+    """Regression: scored by one value of all, ripples that are opposite in two samples were in nobody's sight.
+
+    Where one value of all says as much, it is that.
+    """
+    truth = hidden("ripple", {"size": common}, **{name: {"size": size} for name, size in own.items()})
+    found = made_up.diagnosis(made_up.images_of(truth, 3), known=[TILTED, made_up.spec("fog", square=True)])
+    best, kept = found.added[0], found.steps[0].kept
+    assert (found.verdict.word, found.set, len(found.added)) == ("one_effect", ("ripple",), 1)
+    assert (best.p_left > 0.005, best.share.value > 0.9) == (True, True)
+    assert kept is not None
+    assert kept.fit is not None
+    wanted = {f"samples.{name}.ripple.size": size for name, size in own.items()} or {"effects.ripple.size": common}
+    assert (set(kept.paths), best.numbers) == (set(wanted), len(wanted))
+    for path, size in wanted.items():
+        assert abs(kept.fit.value(path) - size) < 3.0 * kept.fit.error(path)
+    assert best.size.startswith(f"size of {kept.candidate.sample} " if own else "size 0.0")
+    assert ("(size of " in best.size) == bool(own)
+
+
+def test_what_only_monte_carlo_shows_is_fitted_about_what_each_sample_has() -> None:
+    """Opposite ripples: each within errors about its own value; for its slope no image of another sample is asked."""
+    sizes, asked = {"array": 0.05, "third": -0.04}, list[tuple[str, ...]]()
+
+    class Asked(rippled.Anchors):
+        def images(self, model: Model, views: Sequence[View], *more: Any, **by: Any) -> list[Predicted]:
+            asked.append(tuple(view.sample.id for view in views))
+            return super().images(model, views, *more, **by)
+
+    base = rippled.base_fit(**sizes)
+    of_all = replace(rippled.score_of(base).candidate, effect=TILTED.model_copy(update={"twin": False}))
+    sight = SimpleNamespace(views=[SimpleNamespace(sample=image.sample) for image in base.problem.images])
+    one, other = [
+        each
+        for each in _apart(of_all, sight, Projection.of(base))
+        if each.sample in sizes  # type: ignore[arg-type]  # its views
+    ]
+    score = Score(replace(one, others=(other,)), 10.0, 0.05, 0.01, 1.0)
+    found = finished(freed(base, score, slopes_of(base)), Asked(), None)
+    assert found.fit is not None
+    assert found.paths == tuple(f"samples.{sample}.ripple.size" for sample in sizes)
+    for path, size in zip(found.paths, sizes.values(), strict=True):
+        assert abs(found.fit.value(path) - size) < 3.0 * found.fit.error(path)
+    assert {one for one in asked if len(one) == 1} == {("array",), ("third",)}
+    anchor = found.fit.problem.anchor
+    assert anchor is not None
+    assert set(anchor.model.samples) == set(sizes)
+
+
+def test_numbers_of_samples_whose_names_have_dots_are_counted() -> None:
+    """Of "array-2.5" as of any other, and lengths that all have in common; not those of another effect."""
+    one, other = (
+        Candidate(TILTED, TILTED.parameters[0], (), np.zeros((1, 1)), sample=name) for name in ("a-2.5", "b")
+    )
+    paths = ("samples.a-2.5.ripple.size", "samples.b.ripple.size", "effects.ripple.length_um", "effects.fog.size")
+    known: Any = SimpleNamespace(problem=SimpleNamespace(unknowns=SimpleNamespace(model_paths=paths)))
+    found = Refitted(replace(one, others=(other,)), 0.1, 0.01, np.zeros(1), 1.0, False, None, known)
+    assert (found.paths, found.numbers) == (paths[:2], 3)
 
 
 def test_chips_share_a_spread_and_each_has_its_own_gain() -> None:

@@ -42,7 +42,7 @@ def test_the_noise_of_another_walk_is_no_change_that_an_effect_makes(walks: bool
     predictor = Pretended(image)
     model, spec = Model(name="m"), spec_of(AMPLITUDE, walks=walks)
     candidate = Candidate(spec, spec.parameters[0], (), np.zeros((1, 1)))
-    found: Any = SimpleNamespace(candidate=candidate, size={"a": 0.4}, value=0.4, model=None, shape=())
+    found: Any = SimpleNamespace(candidate=candidate, size={candidate.path: 0.4}, value=0.4, model=None, shape=())
     rivals = Rivals(SimpleNamespace(model=model), (), predictor, frozenset())  # type: ignore[arg-type]  # its model is all that is asked for
     one: Refitted = found
     (change,) = rivals._change(sight_of(predictor, SINGLE), one)

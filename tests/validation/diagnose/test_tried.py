@@ -182,6 +182,7 @@ def test_numbers_that_act_together_are_taken_in_the_shape_that_they_were_fitted_
     candidates = candidates_of(base, [RISE], FitSight.of(base, Affected()))  # type: ignore[arg-type]  # it predicts, too
     other = replace(candidates[0], columns=2.0 * candidates[0].columns)
     left = [base.basis.left(one.columns)[0] for one in (other, candidates[1])]
-    for size, wanted in (({"a": 0.1, "b": 0.2}, 0.1 * left[0] + 0.2 * left[1]), ({"a": 0.1}, 0.1 * left[0])):
+    a, b = (one.path for one in candidates)
+    for size, wanted in (({a: 0.1, b: 0.2}, 0.1 * left[0] + 0.2 * left[1]), ({a: 0.1}, 0.1 * left[0])):
         found: Any = SimpleNamespace(candidate=candidates[0], size=size)
         np.testing.assert_allclose(whole_of(base, found, other), wanted, atol=1e-12)

@@ -118,6 +118,18 @@ def test_an_effect_is_moved_by_a_share_of_its_range_whatever_its_numbers_are_cal
     assert step_of("environment.active_layer_depth", 0.25) == 0.2
 
 
+@pytest.mark.parametrize(("at", "moved"), [(0.5, [0.75, 0.25]), (0.0, [0.0, 0.25, 0.5])], ids=["middle", "end"])
+def test_what_a_sample_has_of_its_own_is_moved_there(model: Model, at: float, moved: list[float]) -> None:
+    """By a share of the range that all samples have, to the inside of its end; others stay."""
+    own = {name: {"my_film": {"thickness_nm": value}} for name, value in (("array", at), ("other", 0.3))}
+    of = {"effects": (AppliedEffect(name="my_film", parameters={"thickness_nm": 0.0}),), "samples": own}
+    limits = {"fit": {"effects.my_film.thickness_nm": Fit(free=True, lower=0.0, upper=1.0)}}
+    found = moved_models(model.model_copy(update=of | limits), "samples.array.my_film.thickness_nm", 0.25)
+    assert [one.what.samples["array"]["my_film"]["thickness_nm"] for one in found] == pytest.approx(moved)
+    assert [one.what.samples["other"] for one in found] == [own["other"]] * len(found)
+    assert sum(one.weight for one in found) == pytest.approx(0.0)
+
+
 @pytest.mark.parametrize(
     "path",
     ["films.polymer.1.layers.2.thickness_nm", "films.polymer.1.layers.1.a", "films.polymer.1.colour", "films.x.a"],
