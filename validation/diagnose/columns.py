@@ -128,7 +128,8 @@ def candidates_of(
 def in_shape(
     fit: Fit, spec: EffectSpec, shape: dict[str, Value], sight: FitSight, projection: Projection
 ) -> Iterator[Candidate]:
-    """The candidates of an effect in one shape: one for each of its parameters that acts."""
+    """The candidates of an effect in one shape: one for each of its parameters that acts, of all samples, then of
+    each, where each may have its own."""
     words = tuple(shape.items())
     if not acting(spec):
         yield from _switches(fit, spec, shape, sight, projection)

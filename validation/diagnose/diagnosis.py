@@ -162,9 +162,9 @@ def blurred(scored: Scores) -> set[str]:
 
     A column that agrees with the true one by r shows r^2 of its drop, and r^2 of its size.
     """
-    most = max((one.best.drop for one in scored.effects), default=0.0)
+    most = max((one.largest.drop for one in scored.effects), default=0.0)
     noisy = [one for one in scored.effects if not one.best.candidate.effect.twin]
-    return {one.name for one in noisy if one.best.drop > LEAST_SEEN * most > 0.0}
+    return {one.name for one in noisy if one.largest.drop > LEAST_SEEN * most > 0.0}
 
 
 def beyond_limits(fit: Fit) -> list[str]:

@@ -30,10 +30,10 @@ def document(found: Diagnosis, seed: int) -> dict[str, Any]:
         "effects": [effect_document(first, one) for one in ranked(first)],
         "scores": [
             {
-                "name": one.name, "stage": one.best.candidate.effect.stage, "z": one.best.z, "p": one.p,
-                "chi2_drop": one.best.drop, "size": one.best.size, "error": finite(one.best.error),
-                "score_variable": one.best.candidate.parameter.score_variable,
-                "parameter": one.best.candidate.words, "left": one.best.left,
+                "name": one.name, "stage": one.largest.candidate.effect.stage, "z": one.largest.z, "p": one.p,
+                "chi2_drop": one.largest.drop, "size": one.largest.size, "error": finite(one.largest.error),
+                "score_variable": one.largest.candidate.parameter.score_variable,
+                "parameter": one.largest.candidate.words, "left": one.largest.left,
             }
             for one in first.scores.effects
         ],

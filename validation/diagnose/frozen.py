@@ -19,7 +19,7 @@ from luxloop.model import Model
 from validation.fit import CurveData, Fit
 from validation.fit.problem import CurvePredictor, Evaluation, ImagePredictor, Problem
 from validation.prediction import Anchored, Predicted, PredictedCurve, View
-from validation.sample_values import members
+from validation.sample_values import is_by_sample, members
 
 Real = NDArray[np.float64]
 
@@ -57,7 +57,7 @@ class FrozenImages:
         affected = []
         for number, one in enumerate(found):
             slopes = {path: factors[path] * walk[path][number] for path in wanted}
-            added = sum((by * self.slopes[path][number] for path, by in along.items()), np.zeros(1))
+            added = sum((by * self.slopes[path][number] for path, by in along.items() if by), np.zeros(1))
             twin = None if one.twin_per_mm2 is None else one.twin_per_mm2 + added
             affected.append(
                 replace(
@@ -77,7 +77,10 @@ class FrozenImages:
         kept = [there.get(one.name) if one.name in self.lines else one for one in model.effects]
         samples = self._samples_as_anchored(model, {} if anchor is None else anchor.model.samples)
         effects = tuple(one for one in kept if one is not None)
-        asked = model.model_copy(update={"effects": effects, "samples": samples, "fit": {}})
+        limits = {
+            path: one for path, one in model.fit.items() if is_by_sample(model, path)
+        }  # members are known by them
+        asked = model.model_copy(update={"effects": effects, "samples": samples, "fit": limits})
         here, at = _numbers(model), {} if anchor is None else _numbers(anchor.model)
         along = {}
         for path in self.slopes:

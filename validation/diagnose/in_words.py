@@ -41,7 +41,8 @@ def limits(scored: Scores) -> list[tuple[str, str, float, str]]:
         wanted = float(ndtri(POWER) - ndtri(LEVEL / 4.0 / count / one.shapes))  # its shapes are paid for, too
         value = abs(candidate.value(wanted * one.best.error) - off)
         if value <= max(upper - off, off - lower):
-            found.append((value / (upper - lower), one.name, candidate.words, value, candidate.parameter.unit))
+            tried = candidate.parameter
+            found.append((value / (upper - lower), one.name, tried.name, value, tried.unit))
     return [entry[1:] for entry in sorted(found)]
 
 

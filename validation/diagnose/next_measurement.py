@@ -16,7 +16,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from luxloop.effect import EffectSpec
+from luxloop.effect import EffectSpec, Value
 from luxloop.errors import InputError, RemoteError
 from luxloop.model import Model
 from validation.dataset.manifest import Sample
@@ -34,7 +34,7 @@ from validation.fit.whitening import Whitening
 from validation.measured import MeasuredImage
 from validation.prediction import POSE_COLUMNS, Anchored, Pose, Predictor, Sensor
 from validation.prediction.differences import Moved
-from validation.sample_values import LEAD
+from validation.sample_values import LEAD, with_sample
 
 Real = NDArray[np.float64]
 
@@ -193,12 +193,26 @@ class Rivals:
         """What an effect of its fitted size does to the images of the model without it."""
         effect = one.candidate.effect
         model = sight.at(self.fit.model, effect)
-        there, off = _at_size(model, one), model
+        there, off = self._at_size(model, one), model
         if effect.walks:
             values = next(other.parameters for other in there.effects if other.name == effect.name)
             off = with_effect(model, applied(effect, nearly_off(effect, values)))
         moved = [Moved(1.0, there), Moved(-1.0, off)]
         return sight.summed(moved, not effect.twin, lender=model, walks=effect.walks)
+
+    def _at_size(self, model: Model, one: Refitted) -> Model:
+        """The model with the effect as it was fitted: in the shape that it ended with, to which its size belongs.
+
+        Of one that samples have each their own of, a further sample would have that of the one that scored.
+        """
+        spec, off = one.candidate.effect, off_values(one.candidate.effect, dict(one.shape))
+        own: dict[str, dict[str, Value]] = {}
+        for each in () if one.candidate.is_switch else (one.candidate, *one.candidate.others):
+            own.setdefault(each.sample, dict(off))[each.parameter.name] = one.size[each.path]
+        model = with_effect(model, applied(spec, own.get(one.candidate.sample, off)))
+        for image in self.fit.problem.images if one.candidate.sample else ():
+            model = with_sample(model, image.sample.id, spec.name, own.get(image.sample.id, off))
+        return model
 
 
 def left_out_of(refits: Sequence[Refitted]) -> list[str]:
@@ -246,15 +260,6 @@ def _separation(rows: Sequence[Rows], prior_sd: Real, usable: Sequence[Refitted]
 
 def _has_size(one: Refitted) -> bool:
     return one.model is not None and not one.candidate.is_group
-
-
-def _at_size(model: Model, one: Refitted) -> Model:
-    """The model with the effect as it was fitted: in the shape that it ended with, to which its size belongs."""
-    spec = one.candidate.effect
-    tried = (each for each in (one.candidate, *one.candidate.others) if each.sample == one.candidate.sample)
-    own = {each.parameter.name: one.size[each.path] for each in tried}
-    values = off_values(spec, dict(one.shape)) | ({} if one.candidate.is_switch else own)
-    return with_effect(model, applied(spec, values))
 
 
 def _same(one: Sample, other: Sample) -> bool:

@@ -63,7 +63,7 @@ def refit(base: Fit, score: Score, slopes: Slopes) -> Refitted:
 
 
 def freed(base: Fit, score: Score, slopes: Slopes) -> Refitted:
-    """The effect's parameters that act are more unknowns, begun where their columns expect them, all else beside.
+    """The effect's numbers that act are more unknowns, begun where their columns expect them, all else beside.
 
     One that goes to the end of its range beside the one that scored is left off, where the others stay inside so:
     what the data hardly know takes of anything, and another effect may be missing, too.
@@ -115,18 +115,22 @@ def _freed(base: Fit, score: Score, slopes: Slopes, tried: Sequence[Candidate]) 
 def acting_together(base: Fit, candidate: Candidate) -> list[Candidate]:
     """A candidate, and those of the effect's other numbers of which the fit's own leave something; of those that
     other samples have, where it shows there."""
-    left = {one.path: base.basis.left(one.columns) for one in (candidate, *candidate.others)}
-    others = [one for one in candidate.others if np.linalg.norm(left[one.path]) > LEAST * np.linalg.norm(one.columns)]
-    shown = {candidate.sample}
-    for sample in {one.sample for one in others} - shown:
-        if drop_of(base, np.concatenate([left[one.path] for one in others if one.sample == sample])) >= LEAST_DROP:
-            shown.add(sample)
-    return [candidate, *(one for one in others if one.sample in shown)]
+    others = [
+        one
+        for one in candidate.others
+        if np.linalg.norm(base.basis.left(one.columns)) > LEAST * np.linalg.norm(one.columns)
+    ]
+    by_sample = {one.sample: [other for other in others if other.sample == one.sample] for one in others}
+    shown = [one for one, own in by_sample.items() if one != candidate.sample and drop_of(base, own) >= LEAST_DROP]
+    return [candidate, *(one for one in others if one.sample in (candidate.sample, *shown))]
 
 
-def drop_of(base: Fit, rows: Real) -> float:
-    """By how much chi2 falls with all of these columns, of which the fit's own left this, on the linear model."""
-    return float(np.sum((_fitted(base, rows) @ rows) ** 2))
+def drop_of(base: Fit, tried: Sequence[Candidate]) -> float:
+    """By how much chi2 should fall with all of these, each within its range, on the linear model."""
+    rows = np.concatenate([base.basis.left(one.columns) for one in tried])
+    inside = [_inside(one, size) for one, size in zip(tried, _sizes(base, tried), strict=True)]
+    change = np.array([one.size(value) for one, value in zip(tried, inside, strict=True)]) @ rows
+    return float(change @ (2.0 * base.residual_with_priors - change))
 
 
 def whole_of(base: Fit, found: Refitted, candidate: Candidate) -> Real:
@@ -153,11 +157,8 @@ def expected(base: Fit, candidate: Candidate) -> tuple[float, float]:
 
 def _sizes(base: Fit, tried: Sequence[Candidate]) -> list[float]:
     """Where their columns, less what the fit's own parameters do, leave least."""
-    return list(map(float, _fitted(base, np.concatenate([base.basis.left(one.columns) for one in tried]))))
-
-
-def _fitted(base: Fit, rows: Real) -> Real:
-    return np.asarray(np.linalg.lstsq(rows.T, base.residual_with_priors, rcond=1e-6)[0])
+    rows = np.concatenate([base.basis.left(one.columns) for one in tried])
+    return [float(size) for size in np.linalg.lstsq(rows.T, base.residual_with_priors, rcond=1e-6)[0]]
 
 
 def _inside(one: Candidate, size: float) -> float:

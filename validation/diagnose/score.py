@@ -6,15 +6,16 @@ that has the slope at off), whitened; p is what the fit's own parameters leave o
     size = p'r / p'p        error = 1 / |p|        z = p'r / |p|        chi2 drop = z^2
 
 Where something only shapes the effect (a length, a corner), the column is taken at each value of a grid, and the
-largest z counts. An effect on every chip of a module is a group: no single size, but a spread of sizes, tested by the
-energy of all its columns, whose z is that of a normal number as rare. Noise alone makes scores that are normal with
-the columns' own cosines, so the chance that any effect scores as well is counted in draws from exactly that.
+largest z counts, as it does of the numbers that samples may have each of their own. An effect on every chip of a
+module is a group: no single size, but a spread of sizes, tested by the energy of all its columns, whose z is that of
+a normal number as rare. Noise alone makes scores that are normal with the columns' own cosines, so the chance that
+any effect scores as well is counted in draws from exactly that.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -130,12 +131,18 @@ class EffectScore:
     """An effect at its best shape."""
 
     best: Score
+    """By a number that all samples have in common, wherever the data show one."""
     p: float
-    """Chance that noise alone makes this effect score as well, over its shapes."""
+    """Chance that noise alone makes this effect score as well, over its shapes and samples."""
     shapes: int = 1
-    """In how many it was scored, a number of one sample among them."""
+    """In how many it was scored, numbers of single samples among them."""
     apart: Score | None = None
     """The best number of one sample, of an effect that each may have its own of."""
+
+    @property
+    def largest(self) -> Score:
+        """Of both, the one that its chance is of."""
+        return self.best if self.apart is None or self.best.drop >= self.apart.drop else self.apart
 
     @property
     def name(self) -> str:
@@ -232,11 +239,11 @@ def scores(projected: Projected, residual: Real, scale: float = 1.0, draws: int 
     effects, normal = [], np.zeros((len(names), draws))
     for number, name in enumerate(names):
         rows = [k for k, one in enumerate(projected.candidates) if one.effect.name == name]
-        best = max((found[k] for k in rows), key=lambda score: score.drop)
-        of_samples = [found[k] for k in rows if projected.candidates[k].sample]
-        apart = max(of_samples, key=lambda score: score.drop, default=None)
+        of_all, of_one = ([found[k] for k in rows if bool(found[k].candidate.sample) is own] for own in (False, True))
+        best = max(of_all or of_one, key=lambda score: score.drop)
         largest = drawn[rows].max(axis=0)
-        effects.append(EffectScore(best, _p(largest, best.drop, len(rows)), len(rows), apart))
+        one = EffectScore(best, 1.0, len(rows), max(of_one, key=lambda score: score.drop, default=None))
+        effects.append(replace(one, p=_p(largest, one.largest.drop, len(rows))))
         normal[number] = _own_ps(largest, len(rows))
     smallest = normal.min(axis=0) if names else np.ones(draws)
     observed = min((one.p for one in effects), default=1.0)
@@ -244,7 +251,7 @@ def scores(projected: Projected, residual: Real, scale: float = 1.0, draws: int 
     p = (1 + as_small) / (1 + draws)
     if not as_small:  # beyond what was drawn: no chance of several is larger than the sum of all
         p = min(p, len(names) * observed)
-    effects.sort(key=lambda one: -one.best.drop)
+    effects.sort(key=lambda one: -one.largest.drop)
     return Scores(tuple(effects), p, draws, projected.untestable)
 
 

@@ -189,9 +189,9 @@ def of_all_or_each(base: Fit, one: EffectScore) -> EffectScore:
     less than they do, by more than noise gives so many more."""
     if one.apart is None or one.best.candidate.sample:
         return one
-    rows = [columns_of(base, score.candidate) for score in (one.best, one.apart)]
-    of_all, of_each = (drop_of(base, some) for some in rows)
-    more = max(len(rows[1]) - len(rows[0]), 1)
+    tried = [acting_together(base, score.candidate) for score in (one.best, one.apart)]
+    of_all, of_each = (drop_of(base, some) for some in tried)
+    more = max(len(tried[1]) - len(tried[0]), 1)
     return replace(one, best=one.apart) if of_each - of_all > chdtri(more, LEVEL / 2.0) else one
 
 
@@ -200,7 +200,7 @@ def promised(base: Fit, score: Score) -> tuple[float, float]:
     where every sample has its own of it."""
     own = score.drop, score.size
     if score.candidate.sample and score.drop > 0.0:
-        own = max(score.drop, drop_of(base, columns_of(base, score.candidate))), score.size
+        own = max(score.drop, drop_of(base, acting_together(base, score.candidate))), score.size
     return own if score.candidate.is_group or not base.at_limit else max(own, expected(base, score.candidate))
 
 

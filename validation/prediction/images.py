@@ -138,6 +138,11 @@ class Wanted:
         own = members(self.model).get(path)
         return own[0].effect if own else path.split(".")[1] if path.startswith("effects.") else ""
 
+    def seen_by(self, path: str, views: Sequence[View]) -> list[int]:
+        """Numbers of the views that a path's number moves: all, or those of the one sample whose it is."""
+        own = members(self.model).get(path)
+        return [number for number, view in enumerate(views) if own is None or view.sample.id == own[0].sample]
+
     @property
     def differences(self) -> tuple[str, ...]:
         """All others: by differences of moved models, as the twin has them."""
@@ -169,6 +174,9 @@ def predict(wanted: Wanted, views: Sequence[View], ask: Ask) -> list[Predicted]:
         for n, image in zip(some, next(answers).arrays["images_per_mm2"], strict=True):
             columns = found[moves[n].view].jacobian_per_mm2
             columns[moves[n].path] = columns.get(moves[n].path, 0.0) + moves[n].weight * _real(image)
+    for one in found.values():
+        still = {path: np.zeros_like(one.irradiance_per_mm2) for path in wanted.differences}
+        one.jacobian_per_mm2.update(still | one.jacobian_per_mm2)
     for path, weight, _ in of_all_light:
         for group in groups:
             for n, image in zip(group, next(answers).arrays["images_per_mm2"], strict=True):
@@ -376,7 +384,7 @@ def _moves(wanted: Wanted, views: Sequence[View]) -> Iterator[_Move]:
         traced = name in wanted.beyond_twin
         share = CHANCE_SHARE if name in wanted.by_chance else DIFFERENCE_SHARE if traced else SHARE
         for weight, model in moved_models(at, path, share):
-            yield from (_Move(path, weight, model, at, traced, number) for number in range(len(views)))
+            yield from (_Move(path, weight, model, at, traced, number) for number in wanted.seen_by(path, views))
 
 
 def _by_path(moves: Sequence[_Move]) -> list[list[int]]:

@@ -4,8 +4,9 @@
 
 What of direct light goes on inside the substrate is laid at the places of chips, too, and comes up in `exchange`.
 
-Each stored exit serves all chips and, where the emission is symmetric, all eight of its images, so that few of them
-make a smooth map. Of powers and displacements everything is in it but that neighbours stand elsewhere.
+Each stored exit serves all chips and, where the emission is symmetric, all eight of its images (four where more chips
+stand one way than the other), so that few of them make a smooth map. Of powers and displacements everything is in it
+but that neighbours stand elsewhere.
 """
 
 from __future__ import annotations
