@@ -135,7 +135,8 @@ def test_columns_of_monte_carlo_that_noise_may_have_blurred_are_looked_at_closel
 
     def score(name: str, of: float, known: bool) -> Any:
         candidate = SimpleNamespace(effect=SimpleNamespace(name=name, twin=known))
-        return SimpleNamespace(name=name, best=SimpleNamespace(drop=of, candidate=candidate))
+        best = SimpleNamespace(drop=of, candidate=candidate)
+        return SimpleNamespace(name=name, best=best, largest=best)
 
     scored: Any = SimpleNamespace(effects=(score("chip", 33.0, True), score("walls", drop, twin)))
     assert blurred(scored) == names
