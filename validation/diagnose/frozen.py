@@ -77,9 +77,8 @@ class FrozenImages:
         kept = [there.get(one.name) if one.name in self.lines else one for one in model.effects]
         samples = self._samples_as_anchored(model, {} if anchor is None else anchor.model.samples)
         effects = tuple(one for one in kept if one is not None)
-        limits = {
-            path: one for path, one in model.fit.items() if is_by_sample(model, path)
-        }  # members are known by them
+        # what samples have of their own is known by its table of limits
+        limits = {path: one for path, one in model.fit.items() if is_by_sample(model, path)}
         asked = model.model_copy(update={"effects": effects, "samples": samples, "fit": limits})
         here, at = _numbers(model), {} if anchor is None else _numbers(anchor.model)
         along = {}

@@ -41,8 +41,7 @@ def limits(scored: Scores) -> list[tuple[str, str, float, str]]:
         wanted = float(ndtri(POWER) - ndtri(LEVEL / 4.0 / count / one.shapes))  # its shapes are paid for, too
         value = abs(candidate.value(wanted * one.best.error) - off)
         if value <= max(upper - off, off - lower):
-            tried = candidate.parameter
-            found.append((value / (upper - lower), one.name, tried.name, value, tried.unit))
+            found.append((value / (upper - lower), one.name, candidate.words, value, candidate.parameter.unit))
     return [entry[1:] for entry in sorted(found)]
 
 

@@ -160,9 +160,8 @@ def test_every_chip_shines_once(columns: int) -> None:
 @pytest.mark.parametrize(("method", "stored"), [("monte_carlo", False), ("monte_carlo", True), ("twin", False)])
 def test_a_gradient_is_the_sum_of_columns_with_their_films(method: str, stored: bool) -> None:
     """The image of three columns is that of each alone with the table of its own thickness, added."""
-    histories = (
-        128 if method == "twin" else 32
-    ) * BLOCK  # a row is no square: with few it is below 0 far from its light
+    # a row has half a square's mirror images: by few histories the twin is below 0 far from its light
+    histories = (128 if method == "twin" else 32) * BLOCK
     asked = request(method=method, stored_exits=stored, histories=histories)
     whole, error = image(asked, film(), gradient(STEEP))
     parts, errors = [], [error]

@@ -91,12 +91,8 @@ def test_what_only_monte_carlo_shows_is_fitted_about_what_each_sample_has() -> N
 
     base = rippled.base_fit(**sizes)
     of_all = replace(rippled.score_of(base).candidate, effect=TILTED.model_copy(update={"twin": False}))
-    sight = SimpleNamespace(views=[SimpleNamespace(sample=image.sample) for image in base.problem.images])
-    one, other = [
-        each
-        for each in _apart(of_all, sight, Projection.of(base))
-        if each.sample in sizes  # type: ignore[arg-type]  # its views
-    ]
+    sight: Any = SimpleNamespace(views=[SimpleNamespace(sample=image.sample) for image in base.problem.images])
+    one, other = (each for each in _apart(of_all, sight, Projection.of(base)) if each.sample in sizes)
     score = Score(replace(one, others=(other,)), 10.0, 0.05, 0.01, 1.0)
     found = finished(freed(base, score, slopes_of(base)), Asked(), None)
     assert found.fit is not None
