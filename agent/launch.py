@@ -135,7 +135,7 @@ class Start:
             self._begun(client) as door,
             workers_watched(client, warn if self.say else lambda _: None),
             live(self.show, plan.run, campaign.stop.evaluations, client) as look,
-            to_go_on_with(f"luxloop campaign resume {run_argument(Path(door.begun.folder))}"),
+            to_go_on_with(door),
         ):
             door.on_lost = lost(self.show)
             if self.say:
@@ -228,8 +228,9 @@ def ray_workers(lanes: int) -> int:
 
 
 @contextmanager
-def to_go_on_with(command: str) -> Iterator[None]:
-    """Where router or controller stay away, the error says by which command the run goes on once they are back."""
+def to_go_on_with(door: RunDoor) -> Iterator[None]:
+    """Where router or controller stay away or end, the error says by which command the run goes on."""
+    door.again = command = f"luxloop campaign resume {run_argument(Path(door.begun.folder))}"
     try:
         yield
     except RemoteError as error:

@@ -24,6 +24,7 @@ from luxloop.failure import Failure
 from luxloop.model_file import find_model
 from luxloop.settings import load_settings
 from tests.agent.test_campaign import Door, found
+from tests.luxloop.test_door import ACTION, door
 
 
 def launched(failing: tuple[int, ...], evaluations: int = 8) -> Launched:
@@ -147,15 +148,17 @@ def test_a_run_that_waits_for_a_worker_says_so() -> None:
 
 
 def test_a_run_that_lost_its_controller_says_how_it_goes_on() -> None:
-    """After the mend that the error has; other errors are as they were."""
+    """After the mend that the error has, with the folder of runs; other errors are as they were."""
+    opened, _ = door("not_found", "refused")
+    again = "luxloop campaign resume one --runs /runs"
     for failure, mend in (
-        (
-            Failure(code="no_router", message="nobody answers", mend="is it running?"),
-            "is it running?; then luxloop x",
-        ),
-        (Failure(code="no_controller", message="nobody answers"), "luxloop x"),
+        (Failure(code="no_router", message="nobody answers", mend="is it running?"), f"is it running?; then {again}"),
+        (Failure(code="no_controller", message="nobody answers"), again),
         (Failure(code="crashed", message="broken", mend="look"), "look"),
     ):
-        with pytest.raises(RemoteError) as caught, to_go_on_with("luxloop x"):
+        with pytest.raises(RemoteError) as caught, to_go_on_with(opened):
             raise RemoteError(failure)
         assert (caught.value.failure.code, caught.value.failure.mend) == (failure.code, mend)
+    with pytest.raises(RemoteError) as caught, to_go_on_with(opened):
+        opened.act(ACTION)  # the controller is there again, and cannot go on with the run
+    assert (caught.value.failure.code, caught.value.failure.mend) == ("worker_lost", again)
