@@ -229,14 +229,18 @@ def ray_workers(lanes: int) -> int:
 
 @contextmanager
 def to_go_on_with(door: RunDoor) -> Iterator[None]:
-    """Where router or controller stay away or end, the error says by which command the run goes on."""
-    door.again = command = f"luxloop campaign resume {run_argument(Path(door.begun.folder))}"
+    """An error that ends a run says by which command it goes on, with the folder of runs where that is needed."""
+    command = f"luxloop campaign resume {run_argument(Path(door.begun.folder))}"
     try:
         yield
     except RemoteError as error:
-        if error.failure.code not in ("no_router", "no_controller"):
+        mend = error.failure.mend
+        if error.failure.code in ("no_router", "no_controller"):
+            mend = f"{mend}; then {command}" if mend else command
+        elif mend == f"luxloop campaign resume {door.run}":  # the controller does not know where this side looks
+            mend = command
+        else:
             raise
-        mend = f"{error.failure.mend}; then {command}" if error.failure.mend else command
         raise RemoteError(error.failure.model_copy(update={"mend": mend})) from error
 
 

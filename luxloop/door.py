@@ -48,8 +48,6 @@ class RunDoor:
         self.reason = "left early"
         self.on_lost: Callable[[float], None] = lambda _: None
         """Told for how long nothing was heard from the controller, now and then."""
-        self.again = "run it again" if begin.plan.kind == "validation" else f"luxloop campaign resume {self.run}"
-        """The mend where the controller ended and cannot go on: who knows the folder of runs says it here."""
         self.begun = self._opened(begin)
 
     @classmethod
@@ -110,7 +108,7 @@ class RunDoor:
             code="worker_lost",
             message=f"the controller ended, and the run {self.run!r} with it ({why}); every step that was told is"
                     f" safe in {self.begun.folder}",
-            mend=self.again,
+            mend="run it again" if self._begin.plan.kind == "validation" else f"luxloop campaign resume {self.run}",
         )  # fmt: skip
 
     def note(self, **what: Any) -> None:

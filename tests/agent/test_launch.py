@@ -155,6 +155,7 @@ def test_a_run_that_lost_its_controller_says_how_it_goes_on() -> None:
         (Failure(code="no_router", message="nobody answers", mend="is it running?"), f"is it running?; then {again}"),
         (Failure(code="no_controller", message="nobody answers"), again),
         (Failure(code="crashed", message="broken", mend="look"), "look"),
+        (Failure(code="refused", message="closed", mend="luxloop campaign resume one"), again),
     ):
         with pytest.raises(RemoteError) as caught, to_go_on_with(opened):
             raise RemoteError(failure)
